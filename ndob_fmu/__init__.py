@@ -1,0 +1,26 @@
+"""Nonlinear disturbance observer: from a symbolic plant model to FMUs, and to the coupled simulation of both."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+# Loaded on first use, so that the core that runs inside an FMU pulls in neither SymPy, SciPy, fmpy nor pythonfmu.
+_HOME = {
+    "Model": "ndob_fmu.model",
+    "load_model": "ndob_fmu.model",
+    "check": "ndob_fmu.assumptions",
+    "design": "ndob_fmu.design",
+    "build": "ndob_fmu.fmu",
+    "simulate": "ndob_fmu.cosim",
+    "NdobError": "ndob_fmu.errors",
+}
+__all__ = ["Model", "NdobError", "__version__", "build", "check", "design", "load_model", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'ndob_fmu' has no attribute {name!r}")
