@@ -10,7 +10,7 @@ __version__ = "0.1.0"
 # Loaded on first use, so that the core that runs inside an FMU pulls in neither SymPy, SciPy, fmpy nor pythonfmu.
 _HOME = {
     "Model": "ndob_fmu.model",
-    "load_model": "ndob_fmu.model",
+    "load_model": "ndob_fmu.loading",
     "check": "ndob_fmu.assumptions",
     "design": "ndob_fmu.design",
     "build": "ndob_fmu.fmu",

@@ -29,4 +29,12 @@ class SimulationError(NdobError):
     exit_code = 1
 
 
-__all__ = ["AssumptionError", "CouplingError", "DesignError", "ModelError", "NdobError", "SimulationError", "UsageError"]
+__all__ = [
+    "AssumptionError",
+    "CouplingError",
+    "DesignError",
+    "ModelError",
+    "NdobError",
+    "SimulationError",
+    "UsageError",
+]

@@ -1,0 +1,145 @@
+"""Write a symbolic model as source text: the module of plain functions that the runtime and the FMUs use.
+
+Python today; the expressions come from SymPy, whose C printer takes the same ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import sympy
+from sympy.printing.pycode import PythonCodePrinter
+
+from ndob_fmu.errors import ModelError
+from ndob_fmu.runtime.equations import Equations
+
+if TYPE_CHECKING:
+    from ndob_fmu.model import Model
+
+_HEADER = '''"""Equations of {name}, written from its symbolic model; do not edit."""
+
+import math
+
+from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults
+
+'''
+
+
+def emit_python(model: Model) -> str:
+    """Return the text of a Python module that defines EQUATIONS for the model.
+
+    Raises ModelError where an expression has no Python form.
+    """
+    x, u, d, p = (
+        [model.symbols[name] for name in group]
+        for group in (model.states, model.inputs, model.disturbances, model.parameters)
+    )
+    f = sympy.Matrix(len(model.f_expressions), 1, list(model.f_expressions))
+    derivatives = model.A * sympy.Matrix(x) + model.G_d * sympy.Matrix(d)
+    if u:
+        derivatives += model.B * sympy.Matrix(u)
+    if model.f_expressions:
+        derivatives += model.G_f * f
+    parts = [
+        _HEADER.format(name=model.name),
+        _function(
+            "matrices",
+            [("_p", p)],
+            [*model.A, *model.B, *model.C, *model.G_f, *model.G_d],
+            [M.shape for M in (model.A, model.B, model.C, model.G_f, model.G_d)],
+        ),
+        _function("nonlinearity", [("_x", x), ("_u", u), ("_p", p)], list(f)),
+        _function("derivatives", [("_x", x), ("_u", u), ("_d", d), ("_p", p)], list(derivatives)),
+        _equations(model),
+    ]
+    return "\n\n".join(parts)
+
+
+def compile_equations(model: Model) -> Equations:
+    """Return the model's equations, compiled from the text that `emit_python` writes.
+
+    Raises ModelError where the text cannot be evaluated at the model's start values.
+    """
+    namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
+    exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
+    equations: Equations = namespace["EQUATIONS"]
+    values = tuple(equations.parameters.values())
+    try:
+        equations.matrices(values)
+        for start in (equations.x0, equations.xhat0):
+            equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
+    except (ArithmeticError, ValueError, NameError, TypeError) as error:
+        raise ModelError.report(
+            f"{model.name} at its start values",
+            expected="matrices and f that can be evaluated",
+            received=f"{type(error).__name__}: {error}",
+            likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
+        ) from error
+    return equations
+
+
+def _function(
+    name: str,
+    arguments: Sequence[tuple[str, Sequence[sympy.Symbol]]],
+    expressions: Sequence[sympy.Expr],
+    shapes: Sequence[tuple[int, int]] | None = None,
+) -> str:
+    printer = PythonCodePrinter({"fully_qualified_modules": True})
+    temporaries = sympy.numbered_symbols("_t", real=True)
+    shared, reduced = sympy.cse(list(expressions), symbols=temporaries, list=True) if expressions else ([], [])
+    used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
+    lines = [f"def {name}({', '.join(argument for argument, _ in arguments)}):"]
+    for argument, symbols in arguments:
+        for i, symbol in enumerate(symbols):
+            if symbol in used:
+                lines.append(f"    {symbol.name} = {argument}[{i}]")
+    lines += [f"    {symbol.name} = {_text(printer, expression)}" for symbol, expression in shared]
+    texts = [_text(printer, expression) for expression in reduced]
+    if shapes is None:
+        lines.append(f"    return {_tuple(texts)}")
+    else:
+        matrices = []
+        for rows, columns in shapes:
+            own, texts = texts[: rows * columns], texts[rows * columns :]
+            matrices.append(_tuple(_tuple(own[r * columns : (r + 1) * columns]) for r in range(rows)))
+        lines.append("    return (\n" + "".join(f"        {matrix},\n" for matrix in matrices) + "    )")
+    return "\n".join(lines) + "\n"
+
+
+def _text(printer: PythonCodePrinter, expression: sympy.Expr) -> str:
+    text: str = printer.doprint(expression)
+    if "Not supported" in text:
+        raise ModelError.report(
+            "f", expected="functions with a Python form", received=str(expression), likely="an undefined function"
+        )
+    return text
+
+
+def _tuple(items: Iterable[str]) -> str:
+    items = list(items)
+    return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+
+
+def _equations(model: Model) -> str:
+    fields: dict[str, Any] = {
+        "name": model.name,
+        "description": model.description,
+        "states": model.states,
+        "inputs": model.inputs,
+        "outputs": model.outputs,
+        "disturbances": model.disturbances,
+        "parameters": {name: float(value) for name, value in model.parameters.items()},
+        "units": dict(model.units),
+        "descriptions": dict(model.descriptions),
+        "x0": model.x0,
+        "xhat0": model.xhat0,
+        "lipschitz": float(model.lipschitz or 0.0),
+        "matched": model.matched,
+        "observer": model.observer,
+        "disturbance": model.disturbance,
+        "experiment": model.experiment,
+    }
+    lines = [f"    {name}={value!r}," for name, value in fields.items()]
+    lines += [f"    {name}={name}," for name in ("matrices", "nonlinearity", "derivatives")]
+    return "EQUATIONS = Equations(\n" + "\n".join(lines) + "\n)\n"

@@ -1,0 +1,276 @@
+"""The plant as its user writes it: matrices and a symbolic nonlinearity, the one source of everything else.
+
+Matched (paper §2, eq. 1):    ẋ = A x + B u + G (f(x, u) + d),           y = C x
+Unmatched (paper §3, eq. 20): ẋ = A x + B u + G_f f(x, u) + G_d d,       y = C x
+"""
+
+from __future__ import annotations
+
+import builtins
+import keyword
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
+
+import sympy
+
+from ndob_fmu.emit import compile_equations
+from ndob_fmu.errors import ModelError
+from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu.runtime.gains import LinearPart
+from ndob_fmu.runtime.interface import reserved_names
+
+Nonlinearity = Callable[[Any, Any, Any], Sequence[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A nonlinear plant with unknown disturbances.
+
+    States (n), inputs (m), outputs (p) and disturbances (q2) are named; A (n,n), B (n,m), C (p,n), G_f (n,q1) and
+    G_d (n,q2) hold numbers or SymPy expressions in the `parameters` (name: default value). `f(x, u, p)` returns q1
+    SymPy expressions; x, u and p carry the symbols as attributes (`x.link_angle`). Without `G_f`, or with G_f equal to
+    G_d, the system is matched (eq. 1). `units` and `descriptions` go by name. `lipschitz` is γ of eq. (3);
+    `disturbance_bound` is D₀; `x0` and `xhat0` are the start values of the plant and of its estimate.
+
+    Raises ModelError where names, shapes or symbols contradict each other.
+    """
+
+    name: str
+    states: Sequence[str]
+    outputs: Sequence[str]
+    disturbances: Sequence[str]
+    A: Any
+    C: Any
+    G_d: Any
+    inputs: Sequence[str] = ()
+    B: Any = None
+    G_f: Any = None
+    f: Nonlinearity | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
+    description: str = ""
+    lipschitz: float | None = None
+    disturbance_bound: float | None = None
+    x0: Sequence[float] | None = None
+    xhat0: Sequence[float] | None = None
+    observer: ObserverDefaults = field(default_factory=ObserverDefaults)
+    disturbance: SignalDefaults = field(default_factory=SignalDefaults)
+    experiment: Experiment = field(default_factory=Experiment)
+    f_expressions: tuple[sympy.Expr, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._normalise_names()
+        n, m, p, q = len(self.states), len(self.inputs), len(self.outputs), len(self.disturbances)
+        self._set("A", self._matrix("A", self.A, (n, n), f"{n} states are named"))
+        self._set("B", self._matrix("B", self.B if m else None, (n, m), f"{n} states and {m} inputs are named"))
+        self._set("C", self._matrix("C", self.C, (p, n), f"{p} outputs and {n} states are named"))
+        self._set("G_d", self._matrix("G_d", self.G_d, (n, q), f"{n} states and {q} disturbances are named"))
+        expressions = self._evaluate_f()
+        columns = len(expressions)
+        if self.G_f is None and columns:
+            self._set("G_f", self.G_d)
+        self._set("G_f", self._matrix("G_f", self.G_f, (n, columns), f"f returns {columns} expressions"))
+        self._set("f_expressions", expressions)
+        for vector in ("x0", "xhat0"):
+            self._set(vector, self._vector(vector, getattr(self, vector), n))
+        self._check_bounds()
+        self._check_output_names()
+
+    # -- what follows from the fields ----------------------------------------------------------------------------
+
+    @property
+    def matched(self) -> bool:
+        """Whether f and d enter through the same channel (eq. 1), or there is no f."""
+        return not self.f_expressions or self.G_f == self.G_d
+
+    @cached_property
+    def symbols(self) -> Mapping[str, sympy.Symbol]:
+        """The real symbol of every state, input, disturbance and parameter."""
+        names = [*self.states, *self.inputs, *self.disturbances, *self.parameters]
+        return MappingProxyType({name: sympy.Symbol(name, real=True) for name in names})
+
+    @property
+    def jacobian(self) -> sympy.Matrix:
+        """∂f/∂x, (q1, n)."""
+        return sympy.Matrix(
+            len(self.f_expressions),
+            len(self.states),
+            lambda i, j: sympy.diff(self.f_expressions[i], self.symbols[self.states[j]]),
+        )
+
+    @cached_property
+    def equations(self) -> Equations:
+        """The equations as the runtime uses them, compiled from the very text that goes into the FMUs."""
+        return compile_equations(self)
+
+    def linear_part(self, parameters: Mapping[str, float] | None = None) -> LinearPart:
+        """Return the constant matrices at the default parameters, or with those in `parameters` replaced."""
+        return self.equations.linear_part(self.parameter_values(parameters))
+
+    def parameter_values(self, overrides: Mapping[str, float] | None = None) -> tuple[float, ...]:
+        """Return all parameter values in their order. Raises ModelError for a name that is not a parameter."""
+        overrides = overrides or {}
+        for name in overrides:
+            if name not in self.parameters:
+                raise ModelError.report(
+                    f"parameter {name!r} of {self.name}", expected=_listed(self.parameters), received=repr(name)
+                )
+        return tuple(float(overrides.get(name, value)) for name, value in self.parameters.items())
+
+    # -- checks, once, here ---------------------------------------------------------------------------------------
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _normalise_names(self) -> None:
+        _require_identifier("the model's name", self.name)
+        for group in ("states", "inputs", "outputs", "disturbances"):
+            names = getattr(self, group)
+            if isinstance(names, str) or not isinstance(names, Iterable):
+                raise ModelError.report(f"{self.name}.{group}", expected="a list of names", received=repr(names))
+            self._set(group, tuple(names))
+            if not names and group != "inputs":
+                raise ModelError.report(f"{self.name}.{group}", expected="at least one name", received="none")
+        for mapping in ("parameters", "units", "descriptions"):
+            self._set(mapping, MappingProxyType(dict(getattr(self, mapping))))
+        seen: dict[str, str] = {}
+        for group in ("states", "inputs", "disturbances", "parameters"):
+            for name in getattr(self, group):
+                _require_identifier(f"{self.name}.{group}", name)
+                if name in seen:
+                    raise ModelError.report(
+                        f"{self.name}.{group}",
+                        expected="every name once among states, inputs, disturbances and parameters",
+                        received=f"{name!r}, which is also in {seen[name]}",
+                    )
+                seen[name] = group
+        for name in self.outputs:
+            _require_identifier(f"{self.name}.outputs", name)
+            if self.outputs.count(name) > 1 or seen.get(name, "states") != "states":
+                raise ModelError.report(
+                    f"{self.name}.outputs",
+                    expected="names used once, or the name of the state that is measured",
+                    received=f"{name!r}, which is also in {seen.get(name, 'outputs')}",
+                )
+        reserved = reserved_names(self.states, self.outputs, self.disturbances)
+        for name in [*seen, *self.outputs]:
+            if name in reserved:
+                raise ModelError.report(
+                    self.name, expected="names that the FMUs do not use themselves", received=repr(name)
+                )
+        for mapping in ("units", "descriptions"):
+            for name in getattr(self, mapping):
+                if name not in seen and name not in self.outputs:
+                    raise ModelError.report(
+                        f"{self.name}.{mapping}", expected=_listed([*seen, *self.outputs]), received=repr(name)
+                    )
+        for name, value in self.parameters.items():
+            if not _is_finite_number(value):
+                raise ModelError.report(
+                    f"parameter {name!r} of {self.name}", expected="a finite number", received=repr(value)
+                )
+
+    def _matrix(self, label: str, value: Any, shape: tuple[int, int], why: str) -> sympy.ImmutableMatrix:
+        if value is None and 0 in shape:
+            return sympy.ImmutableMatrix.zeros(*shape)
+        try:
+            matrix = sympy.ImmutableMatrix(value if value is not None else [])
+        except (TypeError, ValueError, sympy.SympifyError) as error:
+            raise ModelError.report(
+                f"{self.name}.{label}", expected=f"a {shape} matrix", received=f"{value!r} ({error})"
+            ) from error
+        if matrix.shape != shape:
+            raise ModelError.report(
+                f"{self.name}.{label}",
+                expected=f"shape {shape} because {why}",
+                received=f"shape {matrix.shape}",
+                likely="a missing row or column, or a missing pair of brackets",
+            )
+        return matrix.applyfunc(lambda entry: self._own_symbols(label, entry, self.parameters))
+
+    def _own_symbols(self, label: str, expression: Any, allowed: Iterable[str]) -> sympy.Expr:
+        """Replace the user's symbols by the model's real ones of the same name; refuse any other symbol."""
+        known = set(allowed)
+        expression = sympy.sympify(expression)
+        for symbol in expression.free_symbols:
+            if symbol.name not in known:
+                raise ModelError.report(
+                    f"{self.name}.{label}",
+                    expected=f"expressions in {_listed(known)}",
+                    received=f"the symbol {symbol.name!r}",
+                    likely="a parameter that is not declared, or a state in a constant matrix",
+                )
+        if expression.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
+            raise ModelError.report(f"{self.name}.{label}", expected="finite entries", received=str(expression))
+        return expression.xreplace({symbol: self.symbols[symbol.name] for symbol in expression.free_symbols})
+
+    def _evaluate_f(self) -> tuple[sympy.Expr, ...]:
+        if self.f is None:
+            return ()
+        spaces = [
+            SimpleNamespace(**{name: self.symbols[name] for name in group})
+            for group in (self.states, self.inputs, self.parameters)
+        ]
+        try:
+            values = list(self.f(*spaces))
+            return tuple(
+                self._own_symbols("f", value, [*self.states, *self.inputs, *self.parameters]) for value in values
+            )
+        except (AttributeError, TypeError, sympy.SympifyError) as error:
+            raise ModelError.report(
+                f"{self.name}.f",
+                expected="f(x, u, p) returning a list of SymPy expressions in their attributes",
+                received=str(error),
+                likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
+            ) from error
+
+    def _vector(self, label: str, value: Sequence[float] | None, n: int) -> tuple[float, ...]:
+        numbers = tuple(value) if value is not None else (0.0,) * n
+        if len(numbers) != n or not all(_is_finite_number(v) for v in numbers):
+            raise ModelError.report(f"{self.name}.{label}", expected=f"{n} finite numbers", received=repr(value))
+        return tuple(float(v) for v in numbers)
+
+    def _check_bounds(self) -> None:
+        for label in ("lipschitz", "disturbance_bound"):
+            value = getattr(self, label)
+            if value is not None and not (_is_finite_number(value) and value >= 0):
+                raise ModelError.report(f"{self.name}.{label}", expected="a finite number ≥ 0", received=repr(value))
+
+    def _check_output_names(self) -> None:
+        for row, name in enumerate(self.outputs):
+            unit_row = [1 if state == name else 0 for state in self.states]
+            if name in self.states and list(self.C.row(row)) != unit_row:
+                raise ModelError.report(
+                    f"{self.name}.outputs",
+                    expected=f"output {name!r} to be the state of that name",
+                    received=f"the row {list(self.C.row(row))} of C",
+                    likely="another name is needed for this output, or the rows of C are in another order",
+                )
+
+
+def _is_finite_number(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except TypeError:
+        return False
+
+
+def _require_identifier(where: str, name: Any) -> None:
+    # The names become local variables of the generated functions, whose own begin with an underscore.
+    plain = isinstance(name, str) and name.isidentifier() and name.isascii() and not name.startswith("_")
+    if not plain or keyword.iskeyword(name) or hasattr(builtins, name) or name == "math":
+        raise ModelError.report(
+            where,
+            expected="names that start with a letter, of ASCII letters, digits and underscores, and that Python does "
+            "not use itself",
+            received=repr(name),
+        )
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

@@ -1,0 +1,85 @@
+"""The form in which a plant's equations reach the runtime: plain functions on tuples of floats, and their names.
+
+A module of this form is written from the symbolic model by `ndob_fmu.emit`; it is all that an FMU knows of its plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ndob_fmu.runtime.gains import LinearPart
+
+Vector = Sequence[float]
+
+
+@dataclass(frozen=True)
+class ObserverDefaults:
+    """Start values of the observer FMU's tuning: α (1/s), and π raised from `pi_start` to `pi_end` in `pi_ramp_time` s."""
+
+    alpha: float = 1.0
+    pi_start: float = 1.0
+    pi_end: float = 1e8
+    pi_ramp_time: float = 1.0
+
+
+@dataclass(frozen=True)
+class SignalDefaults:
+    """Start values of the plant FMU's built-in disturbance generator; see `ndob_fmu.runtime.disturbance` for the kinds."""
+
+    kind: str = "none"
+    amplitude: float = 0.0
+    frequency: float = 1.0
+    start_time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The default experiment of the FMUs, in seconds."""
+
+    stop_time: float = 10.0
+    step_size: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Equations:
+    """ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x, with everything a component needs to name and start it.
+
+    matrices(p) returns A, B, C, G_f, G_d as nested tuples; nonlinearity(x, u, p) f as a tuple of q1 numbers;
+    derivatives(x, u, d, p) ẋ as a tuple of n. `p` holds the parameters in the order of `parameters`.
+    """
+
+    name: str
+    description: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    disturbances: tuple[str, ...]
+    parameters: Mapping[str, float]
+    units: Mapping[str, str]
+    descriptions: Mapping[str, str]
+    x0: tuple[float, ...]
+    xhat0: tuple[float, ...]
+    lipschitz: float
+    matched: bool
+    observer: ObserverDefaults
+    disturbance: SignalDefaults
+    experiment: Experiment
+    matrices: Callable[[Vector], tuple[tuple[tuple[float, ...], ...], ...]] = field(repr=False)
+    nonlinearity: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+
+    def linear_part(self, parameters: Vector) -> LinearPart:
+        """Return the constant matrices at the given parameter values."""
+        n, m = len(self.states), len(self.inputs)
+        A, B, C, G_f, G_d = (np.array(M, dtype=float) for M in self.matrices(parameters))
+        return LinearPart(
+            A=A,
+            B=B.reshape(n, m),
+            C=C,
+            G_f=G_f.reshape(n, -1),
+            G_d=G_d,
+            matched=self.matched,
+        )
