@@ -17,7 +17,7 @@ Vector = Sequence[float]
 
 @dataclass(frozen=True)
 class ObserverDefaults:
-    """Start values of the observer FMU's tuning: α (1/s), and π raised from `pi_start` to `pi_end` in `pi_ramp_time` s."""
+    """Start values of the observer FMU's tuning: α (1/s), and π from `pi_start` to `pi_end` in `pi_ramp_time` s."""
 
     alpha: float = 1.0
     pi_start: float = 1.0
@@ -27,7 +27,7 @@ class ObserverDefaults:
 
 @dataclass(frozen=True)
 class SignalDefaults:
-    """Start values of the plant FMU's built-in disturbance generator; see `ndob_fmu.runtime.disturbance` for the kinds."""
+    """Start values of the plant FMU's built-in disturbance generator; `ndob_fmu.runtime.disturbance` has the kinds."""
 
     kind: str = "none"
     amplitude: float = 0.0

@@ -16,7 +16,7 @@ _RESERVED = (*_OBSERVER_PARAMETERS, "disturbance_order", "noise_std", "disturban
 
 @dataclass(frozen=True)
 class Variable:
-    """One FMI variable. `depends_on` names the inputs that an output feeds through; at start also `start_depends_on`."""
+    """One FMI variable. `depends_on` names the inputs that an output feeds through, `start_depends_on` those at start."""
 
     name: str
     causality: str
@@ -141,7 +141,7 @@ def _tuning(eq: Equations) -> list[Variable]:
             start=o.alpha,
             unit="1/s",
             minimum=0.0,
-            description="Prescribed stability; less than the distance of the transmission zeros from the imaginary axis",
+            description="Prescribed stability; below the distance of the transmission zeros from the imaginary axis",
         ),
         Variable(
             name="pi_start",

@@ -47,7 +47,7 @@ class RiccatiSolution:
                 f"Riccati equation at pi = {self.pi:g}, alpha = {self.alpha:g}",
                 expected=f"a relative residual of at most {RESIDUAL_TOLERANCE:g}",
                 received=f"{self.residual:.2e}",
-                likely="an (almost) unobservable mode, a zero at or right of -alpha, or pi too large for double precision",
+                likely="a mode that is almost unobservable, a zero right of -alpha, or too large a pi",
             )
 
 
@@ -97,7 +97,8 @@ def controllability_staircase(A: Array, G: Array) -> tuple[Array, Array, Array]:
     while T.shape[1] < n:
         block = block - T @ (T.T @ block)
         U, sigma, _ = np.linalg.svd(block, full_matrices=False)
-        rank = int(np.sum(sigma > n * np.finfo(float).eps * max(1.0, np.linalg.norm(A)) * sigma[0])) if sigma[0] else 0
+        tolerance = n * np.finfo(float).eps * sigma[0] * max(1.0, float(np.linalg.norm(A)))
+        rank = int(np.sum(sigma > tolerance))
         if rank == 0:  # uncontrollable rest: any completion of the basis serves
             T = np.linalg.qr(np.hstack([T, np.eye(n)]))[0]
             break
@@ -123,7 +124,7 @@ def lyapunov(A: Array, Q: Array) -> Array:
         A_k = A_next
         if change <= 1e-14 * np.linalg.norm(A_k):
             break
-    return 0.25 * (X + X.T)
+    return np.asarray(0.25 * (X + X.T))
 
 
 def _terms(shifted: Array, C: Array, G: Array, pi: float, scale: Array) -> tuple[Array, Array, Array]:
