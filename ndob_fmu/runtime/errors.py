@@ -19,3 +19,9 @@ class DesignError(NdobError):
     """The numbers given admit no gain that could be trusted."""
 
     exit_code = 1
+
+
+class IntegrationError(NdobError):
+    """The plant's equations cannot be integrated further."""
+
+    exit_code = 1

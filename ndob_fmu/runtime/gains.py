@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -23,12 +24,17 @@ class LinearPart:
     G_d: Array
     matched: bool
 
-    @property
+    @cached_property
     def G(self) -> Array:
         """The unknown-input channel (n,q): G_d where f is matched, else [G_f G_d]."""
         return self.G_d if self.matched else np.hstack([self.G_f, self.G_d])
 
-    @property
+    @cached_property
+    def G_inverse(self) -> Array:
+        """The left inverse of G, (q,n)."""
+        return np.asarray(np.linalg.pinv(self.G))
+
+    @cached_property
     def selector(self) -> Array:
         """(q2, q) matrix that picks d out of the estimated unknown inputs, [0 I] of eq. (23)."""
         q, q_d = self.G.shape[1], self.G_d.shape[1]
@@ -49,12 +55,12 @@ def paper_gains(linear: LinearPart, *, pi: float, alpha: float) -> Gains:
     """Design the paper's observer at one π > 0, α > 0. Raises DesignError where the Riccati residual is too large."""
     riccati = solve_riccati(linear.A, linear.C, linear.G, pi=pi, alpha=alpha)
     L = riccati.Q @ linear.C.T
-    return Gains(riccati=riccati, L=L, W=orthogonal_factor(L, linear.G, pi), M=dc_inverse(linear, L))
+    return Gains(riccati=riccati, L=L, W=orthogonal_factor(linear, L), M=dc_inverse(linear, L))
 
 
-def orthogonal_factor(L: Array, G: Array, pi: float) -> Array:
-    """Return W (q,p), the orthogonal polar factor of G⁺ L/√π (Remark 2): the nearest matrix with W Wᵀ = I."""
-    U, _, Vt = np.linalg.svd(np.linalg.pinv(G) @ L / np.sqrt(pi), full_matrices=False)
+def orthogonal_factor(linear: LinearPart, L: Array) -> Array:
+    """Return W (q,p), the orthogonal polar factor of G⁺ L (Remark 2): the nearest matrix with W Wᵀ = I."""
+    U, _, Vt = np.linalg.svd(linear.G_inverse @ L, full_matrices=False)
     return np.asarray(U @ Vt)
 
 

@@ -16,7 +16,11 @@ _RESERVED = (*_OBSERVER_PARAMETERS, "disturbance_order", "noise_std", "disturban
 
 @dataclass(frozen=True)
 class Variable:
-    """One FMI variable. `depends_on` names the inputs that an output feeds through, `start_depends_on` those at start."""
+    """One FMI variable.
+
+    `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
+    those of the end of the last step, whatever the inputs become afterwards.
+    """
 
     name: str
     causality: str
@@ -29,7 +33,6 @@ class Variable:
     nominal: float | None = None
     items: Mapping[str, int] | None = None
     depends_on: tuple[str, ...] = ()
-    start_depends_on: tuple[str, ...] = ()
 
     @property
     def variability(self) -> str:
@@ -85,20 +88,22 @@ def plant_variables(eq: Equations) -> tuple[Variable, ...]:
 
 
 def observer_variables(eq: Equations) -> tuple[Variable, ...]:
-    """Return the variables of `<Name>Observer`."""
+    """Return the variables of `<Name>Observer`, its outputs in the order of `Estimate`'s fields."""
     inputs = [_signal(eq, name, "input", 0.0, "Input of the plant") for name in eq.inputs]
     inputs += [_signal(eq, name, "input", 0.0, "Measured output of the plant") for name in eq.outputs]
 
     def estimate(name: str, of: str, text: str, depends: tuple[str, ...] = ()) -> Variable:
         unit = eq.units.get(of, "")
-        return Variable(name=name, causality="output", description=text, unit=unit, start_depends_on=depends)
+        return Variable(name=name, causality="output", description=text, unit=unit, depends_on=depends)
 
     outputs = [estimate(f"{s}_hat", s, f"Estimate of {s} for the end of the step") for s in eq.states]
-    for d in eq.disturbances:
-        outputs += [
-            estimate(f"{d}_hat", d, f"Estimate of {d} for the end of the step", eq.outputs),
-            estimate(f"{d}_at_sample", d, f"Estimate of {d} for the sample that the step began with", eq.outputs),
-        ]
+    outputs += [
+        estimate(f"{d}_hat", d, f"Estimate of {d} for the end of the step", eq.outputs) for d in eq.disturbances
+    ]
+    outputs += [
+        estimate(f"{d}_at_sample", d, f"Estimate of {d} for the sample that the step began with", eq.outputs)
+        for d in eq.disturbances
+    ]
     outputs += [
         estimate(f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,)) for y in eq.outputs
     ]
@@ -108,7 +113,7 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
             causality="output",
             type="Boolean",
             description="False while the estimate coasts because a sample was not a finite number",
-            start_depends_on=(*eq.inputs, *eq.outputs),
+            depends_on=eq.outputs,
         )
     )
     starts = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import log
 
 import numpy as np
 
@@ -30,11 +31,9 @@ class PiSchedule:
 
     def log_pi(self, t: float) -> float:
         """Return ln π(t)."""
-        end = float(np.log(self.pi_end))
         if t >= self.ramp_time:
-            return end
-        start = float(np.log(self.pi_start))
-        return start + (end - start) * t / self.ramp_time
+            return log(self.pi_end)
+        return log(self.pi_start) + log(self.pi_end / self.pi_start) * t / self.ramp_time
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,11 @@ class GainTable:
     def gain(self, log_pi: float) -> Array:
         """Return L at ln π; beyond the ends of the table the end's gain."""
         knots = self.log_pi
-        i = int(np.searchsorted(knots, log_pi, side="right")) - 1
+        if log_pi >= knots[-1]:
+            return np.asarray(self.L[-1])
+        i = int(knots.searchsorted(log_pi, side="right")) - 1
         if i < 0:
             return np.asarray(self.L[0])
-        if i >= len(knots) - 1:
-            return np.asarray(self.L[-1])
         h = knots[i + 1] - knots[i]
         s = (log_pi - knots[i]) / h
         r = 1.0 - s

@@ -1,0 +1,61 @@
+"""The Python files that go inside an FMU, under names that no other FMU and no installed package can take.
+
+All FMUs of one process share one interpreter: two that carried different code under one name would silently run the
+first one's. Every bundled module is therefore named by a digest of its content.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+_HERE = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Texts by relative path; `entry` is the script that pythonfmu loads, `digest` that of all the others."""
+
+    files: Mapping[str, str]
+    entry: str
+    digest: str
+
+
+def bundle(class_name: str, slave_module: str, slave_class: str, equations_text: str) -> Bundle:
+    """Return the files of the FMU `class_name`, whose slave is `slave_class` of fmus/`slave_module`.py."""
+    runtime = {path.name: path.read_text("utf-8") for path in sorted((_HERE / "runtime").glob("*.py"))}
+    slaves = {path.name: path.read_text("utf-8") for path in sorted(_slave_folder().glob("*slave*.py"))}
+    package = f"ndob_runtime_{_digest(runtime | slaves)}"
+    equations = f"ndob_equations_{_digest({'': equations_text, 'package': package})}"
+
+    def renamed(text: str) -> str:
+        return text.replace("ndob_fmu.runtime", package).replace("from fmus.", f"from {package}.")
+
+    files = {f"{package}/{name}": renamed(text) for name, text in (runtime | slaves).items()}
+    files[f"{equations}.py"] = renamed(equations_text)
+    entry_text = (
+        f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
+        f"from {equations} import EQUATIONS\n"
+        f"from {package}.{slave_module} import {slave_class}\n\n\n"
+        f"class {class_name}({slave_class}):\n"
+        f'    """The {slave_class} of these equations."""\n\n'
+        f"    equations = EQUATIONS\n"
+    )
+    digest = _digest(files | {"": entry_text})
+    entry = f"{class_name}_{digest}.py"
+    return Bundle(files={**files, entry: entry_text}, entry=entry, digest=digest)
+
+
+def _slave_folder() -> Path:
+    """Return the folder of the slave scripts: in an installed package inside it, in a checkout beside it."""
+    installed = _HERE / "_fmus"
+    return installed if installed.is_dir() else _HERE.parent / "fmus"
+
+
+def _digest(texts: Mapping[str, str]) -> str:
+    whole = hashlib.sha256()
+    for name in sorted(texts):
+        whole.update(f"{name}\0{texts[name]}\0".encode())
+    return whole.hexdigest()[:16]
