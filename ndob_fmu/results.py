@@ -1,0 +1,146 @@
+"""What a run leaves behind: the recorded signals as a value, and files that are either whole or absent."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.errors import UsageError
+
+_DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Signals over time: row k of every array belongs to ``time[k]``.
+
+    time: (rows,) in seconds. names: one per column, ``component.variable``. columns: (rows, len(names)), all as floats.
+    types: the FMI type of each column; empty means Real throughout. Raises UsageError if the shapes contradict.
+    """
+
+    time: NDArray[np.float64]
+    names: tuple[str, ...]
+    columns: NDArray[np.float64]
+    types: tuple[str, ...] = ()
+    _position: dict[str, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        expected = (*self.time.shape, len(self.names))
+        if self.time.ndim != 1 or self.columns.shape != expected or len(self.types) not in (0, len(self.names)):
+            raise UsageError.report(
+                "recording",
+                expected=f"time (rows,), columns {expected} and one type per column or none",
+                received=f"time {self.time.shape}, columns {self.columns.shape} and {len(self.types)} types",
+            )
+        object.__setattr__(self, "types", self.types or ("Real",) * len(self.names))
+        object.__setattr__(self, "_position", {name: column for column, name in enumerate(self.names)})
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return one signal, (rows,), as float64, int64 or bool after its FMI type; raise UsageError if absent."""
+        if name not in self._position:
+            raise UsageError.report(
+                "recording", expected=f"one of the signals {', '.join(self.names)}", received=repr(name)
+            )
+        column = self._position[name]
+        return self.columns[:, column].astype(_DTYPES.get(self.types[column], np.dtype(np.float64)))
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Give a temporary path to write to; it becomes ``path`` if the block succeeds, and vanishes if it fails.
+
+    The temporary file lies in the same folder, which is made if missing, because only a rename within one file system
+    is atomic; its ending is that of ``path``, because writers such as matplotlib take the format from it.
+    Raises UsageError if the place cannot be written.
+    """
+    target = Path(path)
+    temporary = target.with_name(f".{target.stem}-{uuid.uuid4().hex[:12]}{target.suffix}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(target)
+    except OSError as error:
+        raise UsageError.report(str(target), expected="a file that can be written", received=str(error)) from error
+    finally:
+        with suppress(OSError):  # where nothing could be written there is nothing to remove either
+            temporary.unlink()
+
+
+def write_csv(path: str | Path, recording: Recording) -> None:
+    """Write fmpy's CSV form: quoted header with ``time`` first, one row per communication point.
+
+    Reals have every digit that makes them exact when read back; Booleans are 0 or 1. Raises UsageError if the file
+    cannot be written; an older file then stays as it was.
+    """
+    formats = [repr] + [repr if kind == "Real" else _integer for kind in recording.types]
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        header = csv.writer(file, quoting=csv.QUOTE_ALL, lineterminator="\n")
+        header.writerow(["time", *recording.names])
+        for row in np.column_stack([recording.time, recording.columns]).tolist():
+            file.write(",".join([as_text(value) for as_text, value in zip(formats, row, strict=True)]) + "\n")
+
+
+def _integer(value: float) -> str:
+    return str(int(value))
+
+
+def read_csv(path: str | Path) -> Recording:
+    """Read fmpy's CSV form; every column becomes Real, since the form does not carry types.
+
+    Raises UsageError if the file is missing, has no rows, does not begin with ``time``, names a column twice, or holds
+    anything but numbers.
+    """
+    where = str(path)
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:  # -sig: spreadsheets write a byte-order mark
+            names = next(csv.reader(file), [])
+            lines = file.readlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
+    if not names or names[0] != "time" or len(set(names)) != len(names):
+        raise UsageError.report(
+            where,
+            expected='a header of different names, the first of them "time"',
+            received=",".join(names) or "an empty file",
+            likely="another separator than the comma, or no header line",
+        )
+    try:
+        table = np.loadtxt(lines, delimiter=",", ndmin=2) if any(map(str.strip, lines)) else np.empty((0, len(names)))
+    except ValueError as error:
+        raise UsageError.report(where, expected="numbers separated by commas", received=str(error)) from error
+    if table.shape[0] == 0 or table.shape[1] != len(names):
+        received = f"{table.shape[0]} rows of {table.shape[1]} values"
+        raise UsageError.report(where, expected=f"rows of {len(names)} values, as in the header", received=received)
+    return Recording(table[:, 0].copy(), tuple(names[1:]), table[:, 1:].copy())
+
+
+def write_json(path: str | Path, data: Any) -> None:
+    """Write ``data`` (mappings, sequences, numbers, NumPy values, paths) as JSON; NaN and infinity become null.
+
+    Raises UsageError if the file cannot be written; an older file then stays as it was.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(_plain(data), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """Return ``value`` in the types that JSON has; JSON has no NaN, and readers reject the one that Python writes."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, Path) else value
