@@ -1,4 +1,4 @@
-"""What the plant's and the observer's slave share: variables registered from their declaration, and when they are right.
+"""What the plant's and the observer's slave share: variables registered as declared, and when their values are right.
 
 Outputs are computed in initialization mode as soon as they are asked for, and afterwards once per step.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable
-from typing import Any, ClassVar
+from typing import Any
 
 from pythonfmu import (
     Boolean,
@@ -31,10 +31,9 @@ _TYPES = {"Real": Real, "Boolean": Boolean, "Enumeration": Integer}
 class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type information
     """Base of the slaves; a subclass declares its variables, starts its core and advances it."""
 
-    equations: ClassVar[Equations]
-
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, equations: Equations, **kwargs: Any) -> None:
         super().__init__(**kwargs)
+        self.equations = equations
         variables = self.declare()
         experiment = self.equations.experiment
         self.default_experiment = DefaultExperiment(
@@ -52,7 +51,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         for index, variable in enumerate(variables):
             self._register(index, variable)
 
-    # -- for the subclass ---------------------------------------------------------------------------------------------
+    # -- for the subclass
 
     @abstractmethod
     def declare(self) -> tuple[Variable, ...]:
@@ -78,7 +77,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         """Return the present value of one variable."""
         return self._values[self._value_reference[name]]
 
-    # -- called by pythonfmu --------------------------------------------------------------------------------------------
+    # -- called by pythonfmu
 
     def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
         """Note the time at which the simulation starts."""
@@ -127,7 +126,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         """Set Enumeration variables."""
         self._set(vrs, values)
 
-    # -- inside ---------------------------------------------------------------------------------------------------------
+    # -- inside
 
     def _register(self, index: int, variable: Variable) -> None:
         output = variable.causality == "output"

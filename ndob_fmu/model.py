@@ -15,6 +15,7 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
+import numpy as np
 import sympy
 
 from ndob_fmu.emit import compile_equations
@@ -81,7 +82,7 @@ class Model:
         self._check_bounds()
         self._check_output_names()
 
-    # -- what follows from the fields ----------------------------------------------------------------------------
+    # -- what follows from the fields
 
     @property
     def matched(self) -> bool:
@@ -109,20 +110,40 @@ class Model:
         return compile_equations(self)
 
     def linear_part(self, parameters: Mapping[str, float] | None = None) -> LinearPart:
-        """Return the constant matrices at the default parameters, or with those in `parameters` replaced."""
-        return self.equations.linear_part(self.parameter_values(parameters))
+        """Return the constant matrices at the default parameters, or with those in `parameters` replaced.
+
+        Raises ModelError for a name that is not a parameter, and for values at which the matrices are not finite.
+        """
+        values = self.parameter_values(parameters)
+        try:
+            linear = self.equations.linear_part(values)
+            finite = all(np.isfinite(M).all() for M in (linear.A, linear.B, linear.C, linear.G_f, linear.G_d))
+        except (ArithmeticError, ValueError, TypeError):  # TypeError: the root of a negative number is complex
+            finite = False
+        if not finite:
+            raise ModelError.report(
+                f"the matrices of {self.name}",
+                expected="finite real entries",
+                received=", ".join(f"{name} = {value:g}" for name, value in zip(self.parameters, values, strict=True)),
+                likely="a division by zero or the root of a negative number at these parameters",
+            )
+        return linear
 
     def parameter_values(self, overrides: Mapping[str, float] | None = None) -> tuple[float, ...]:
-        """Return all parameter values in their order. Raises ModelError for a name that is not a parameter."""
+        """Return all parameter values in their order.
+
+        Raises ModelError for a name that is not a parameter and for a value that is not a finite number.
+        """
         overrides = overrides or {}
-        for name in overrides:
+        for name, value in overrides.items():
             if name not in self.parameters:
                 raise ModelError.report(
                     f"parameter {name!r} of {self.name}", expected=_listed(self.parameters), received=repr(name)
                 )
+            self._require_finite(name, value)
         return tuple(float(overrides.get(name, value)) for name, value in self.parameters.items())
 
-    # -- checks, once, here ---------------------------------------------------------------------------------------
+    # -- checks, once, here
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
@@ -170,10 +191,13 @@ class Model:
                         f"{self.name}.{mapping}", expected=_listed([*seen, *self.outputs]), received=repr(name)
                     )
         for name, value in self.parameters.items():
-            if not _is_finite_number(value):
-                raise ModelError.report(
-                    f"parameter {name!r} of {self.name}", expected="a finite number", received=repr(value)
-                )
+            self._require_finite(name, value)
+
+    def _require_finite(self, name: str, value: Any) -> None:
+        if not _is_finite_number(value):
+            raise ModelError.report(
+                f"parameter {name!r} of {self.name}", expected="a finite number", received=repr(value)
+            )
 
     def _matrix(self, label: str, value: Any, shape: tuple[int, int], why: str) -> sympy.ImmutableMatrix:
         if value is None and 0 in shape:
@@ -182,7 +206,7 @@ class Model:
             matrix = sympy.ImmutableMatrix(value if value is not None else [])
         except (TypeError, ValueError, sympy.SympifyError) as error:
             raise ModelError.report(
-                f"{self.name}.{label}", expected=f"a {shape} matrix", received=f"{value!r} ({error})"
+                f"{self.name}.{label}", expected=f"a {shape} matrix", received=f"{value!r} ({_one_line(error)})"
             ) from error
         if matrix.shape != shape:
             raise ModelError.report(
@@ -197,6 +221,10 @@ class Model:
         """Replace the user's symbols by the model's real ones of the same name; refuse any other symbol."""
         known = set(allowed)
         expression = sympy.sympify(expression)
+        if not isinstance(expression, sympy.Expr) or expression.has(sympy.I):
+            raise ModelError.report(
+                f"{self.name}.{label}", expected="real numbers or SymPy expressions", received=str(expression)
+            )
         for symbol in expression.free_symbols:
             if symbol.name not in known:
                 raise ModelError.report(
@@ -225,12 +253,14 @@ class Model:
             raise ModelError.report(
                 f"{self.name}.f",
                 expected="f(x, u, p) returning a list of SymPy expressions in their attributes",
-                received=str(error),
+                received=_one_line(error),
                 likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
             ) from error
 
     def _vector(self, label: str, value: Sequence[float] | None, n: int) -> tuple[float, ...]:
-        numbers = tuple(value) if value is not None else (0.0,) * n
+        if value is None:
+            return (0.0,) * n
+        numbers = tuple(value) if isinstance(value, Iterable) else ()
         if len(numbers) != n or not all(_is_finite_number(v) for v in numbers):
             raise ModelError.report(f"{self.name}.{label}", expected=f"{n} finite numbers", received=repr(value))
         return tuple(float(v) for v in numbers)
@@ -270,6 +300,10 @@ def _require_identifier(where: str, name: Any) -> None:
             "not use itself",
             received=repr(name),
         )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -11,7 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-_HERE = Path(__file__).resolve().parent.parent
+from ndob_fmu import runtime
+from ndob_fmu.shipped import shipped_folder
+
+_RUNTIME = Path(runtime.__file__).parent
 
 
 @dataclass(frozen=True)
@@ -25,15 +28,15 @@ class Bundle:
 
 def bundle(class_name: str, slave_module: str, slave_class: str, equations_text: str) -> Bundle:
     """Return the files of the FMU `class_name`, whose slave is `slave_class` of fmus/`slave_module`.py."""
-    runtime = {path.name: path.read_text("utf-8") for path in sorted((_HERE / "runtime").glob("*.py"))}
-    slaves = {path.name: path.read_text("utf-8") for path in sorted(_slave_folder().glob("*slave*.py"))}
-    package = f"ndob_runtime_{_digest(runtime | slaves)}"
+    core = {path.name: path.read_text("utf-8") for path in sorted(_RUNTIME.glob("*.py"))}
+    slaves = {path.name: path.read_text("utf-8") for path in sorted(shipped_folder("fmus").glob("*slave*.py"))}
+    package = f"ndob_runtime_{_digest(core | slaves)}"
     equations = f"ndob_equations_{_digest({'': equations_text, 'package': package})}"
 
     def renamed(text: str) -> str:
         return text.replace("ndob_fmu.runtime", package).replace("from fmus.", f"from {package}.")
 
-    files = {f"{package}/{name}": renamed(text) for name, text in (runtime | slaves).items()}
+    files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
     files[f"{equations}.py"] = renamed(equations_text)
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
@@ -41,17 +44,14 @@ def bundle(class_name: str, slave_module: str, slave_class: str, equations_text:
         f"from {package}.{slave_module} import {slave_class}\n\n\n"
         f"class {class_name}({slave_class}):\n"
         f'    """The {slave_class} of these equations."""\n\n'
-        f"    equations = EQUATIONS\n"
+        # pythonfmu's binary gives up one reference too many to this module's globals at every load. A function
+        # holds one; without any the globals are freed under the module, and the next load crashes the host.
+        f"    def __init__(self, **kwargs):\n"
+        f"        super().__init__(EQUATIONS, **kwargs)\n"
     )
     digest = _digest(files | {"": entry_text})
     entry = f"{class_name}_{digest}.py"
     return Bundle(files={**files, entry: entry_text}, entry=entry, digest=digest)
-
-
-def _slave_folder() -> Path:
-    """Return the folder of the slave scripts: in an installed package inside it, in a checkout beside it."""
-    installed = _HERE / "_fmus"
-    return installed if installed.is_dir() else _HERE.parent / "fmus"
 
 
 def _digest(texts: Mapping[str, str]) -> str:

@@ -1,0 +1,209 @@
+"""The command line `ndob-fmu`: each command is one function that calls the package and prints what came of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ndob_fmu import __version__
+from ndob_fmu.errors import NdobError, UsageError
+
+_BUILD = Path("build")
+_DEMO_MODEL = "flexible_joint"
+_DEMO_SYSTEM = "open_loop"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0, 1 where a check or a run failed, 2 where the input is unusable."""
+    options = _parser().parse_args(arguments)
+    logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    try:
+        code: int = options.run(options)
+    except NdobError as error:
+        print(f"ndob-fmu: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("ndob-fmu: interrupted, nothing was written", file=sys.stderr)
+        return 130
+    return code
+
+
+def _check(options: argparse.Namespace) -> int:
+    from ndob_fmu.assumptions import check
+    from ndob_fmu.loading import load_model
+
+    report = check(load_model(options.model))
+    print(_json(report.to_dict()) if options.json else report)
+    return 0 if report.passed else 1
+
+
+def _design(options: argparse.Namespace) -> int:
+    from ndob_fmu.design import design
+    from ndob_fmu.loading import load_model
+
+    result = design(load_model(options.model), pi=options.pi, alpha=options.alpha)
+    print(_json(result.to_dict()) if options.json else result)
+    return 0
+
+
+def _build(options: argparse.Namespace) -> int:
+    for path in _build_all(options.model, options.out, options.systems):
+        print(path)
+    return 0
+
+
+def _build_all(model: str, out: Path, systems: Path | None) -> list[Path]:
+    from ndob_fmu.cosim import build_ssp
+    from ndob_fmu.fmu import build
+    from ndob_fmu.loading import load_model
+    from ndob_fmu.shipped import shipped_folder
+
+    paths = list(build(load_model(model), out))
+    if systems is not None:
+        folders = sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd"))
+        paths += [build_ssp(folder, out, systems) for folder in folders]
+    return paths
+
+
+def _build_demo() -> Path:
+    _build_all(_DEMO_MODEL, _BUILD / "fmus", _BUILD / "ssp")
+    return _BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from ndob_fmu.cosim import simulate
+    from ndob_fmu.results import write_csv
+
+    if options.demo == (options.system is not None):
+        raise UsageError.report(
+            "simulate", expected="either the path of a system or --demo", received="both" if options.demo else "neither"
+        )
+    recording = simulate(
+        _build_demo() if options.demo else options.system,
+        start_time=options.start_time,
+        stop_time=options.stop_time,
+        step_size=options.step_size,
+        output_interval=options.output_interval,
+        start_values=_pairs(options.start_values),
+        input_file=options.input_file,
+        scheme=options.scheme,
+    )
+    span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
+    rows = f"{len(recording.time)} rows of {len(recording.names)} signals, {span}"
+    if options.output_file is not None:
+        write_csv(options.output_file, recording)
+        print(f"{options.output_file}: {rows}")
+    else:
+        print(f"{rows}; --output-file FILE keeps them")
+    if options.show_plot:
+        from ndob_fmu import plots
+
+        plots.show(recording)
+    return 0
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from ndob_fmu.demo import run_demo
+
+    summary = run_demo(_build_demo(), options.out)
+    settled = summary["settling_time_2_percent"]
+    late = summary["max_disturbance_error_from_12_s"]
+    print(
+        f"The paper's example, two FMUs coupled every {summary['step_size']:g} s for {summary['stop_time']:g} s:\n"
+        f"  estimate within 2 % of the disturbance from {settled:.2f} s on; largest error from 12 s on {late:.4f} N·m\n"
+        f"  state error at the end {summary['final_state_error']:.2e}; "
+        f"largest estimate {summary['peak_estimate']:.3g} N·m "
+        f"(without the schedule {summary['peak_estimate_without_schedule']:.3g})\n"
+        f"Look at {options.out}: fig1_disturbance.png, fig2_state_error.png, fig3_peaking.png, result.csv, summary.json."
+    )
+    return 0
+
+
+def _pairs(words: Sequence[str]) -> dict[str, Any]:
+    """Return NAME VALUE … as a mapping of numbers; true and false count as Booleans."""
+    if len(words) % 2:
+        raise UsageError.report(
+            "--start-values", expected="pairs NAME VALUE", received=f"{len(words)} words", likely="a value is missing"
+        )
+    values: dict[str, Any] = {}
+    for name, word in zip(words[::2], words[1::2], strict=True):
+        if word.lower() in ("true", "false"):
+            values[name] = word.lower() == "true"
+            continue
+        try:
+            values[name] = float(word)
+        except ValueError:
+            raise UsageError.report(f"--start-values {name}", expected="a number", received=repr(word)) from None
+    return values
+
+
+def _json(data: Any) -> str:
+    return json.dumps(data, indent=2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    # argparse and not a richer library: --start-values takes any number of words, as in `fmpy simulate`.
+    parser = argparse.ArgumentParser(
+        prog="ndob-fmu", description="Nonlinear disturbance observer: check, design, build and simulate it as FMUs."
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run: Any, text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(run=run)
+        return sub
+
+    model_help = f"a Python file that defines `model`, or a built-in name ({_DEMO_MODEL})"
+
+    sub = command("check", _check, "Check the paper's assumptions on a model; exit code 1 if one fails.")
+    sub.add_argument("model", metavar="MODEL", help=model_help)
+    sub.add_argument("--json", action="store_true", help="print JSON")
+
+    sub = command("design", _design, "Design the observer: gains, poles, bandwidth, noise gain.")
+    sub.add_argument("model", metavar="MODEL", help=model_help)
+    sub.add_argument("--pi", type=float, help="design parameter of the Riccati equation (default: the model's pi_end)")
+    sub.add_argument("--alpha", type=float, help="prescribed stability in 1/s (default: the model's)")
+    sub.add_argument("--json", action="store_true", help="print JSON")
+
+    sub = command("build", _build, "Build <Name>Plant.fmu and <Name>Observer.fmu.")
+    sub.add_argument("model", metavar="MODEL", help=model_help)
+    sub.add_argument(
+        "--out", type=Path, default=_BUILD / "fmus", metavar="DIR", help="folder of the FMUs (%(default)s)"
+    )
+    sub.add_argument(
+        "--systems", type=Path, metavar="DIR", help="also pack the shipped systems with these FMUs into DIR"
+    )
+
+    sub = command("simulate", _simulate, "Co-simulate a system (.ssp) or one FMU at a fixed communication step.")
+    sub.add_argument("system", nargs="?", metavar="SYSTEM", help="path of an .ssp or .fmu")
+    sub.add_argument("--demo", action="store_true", help="build and run the paper's example")
+    for option, text in (
+        ("--start-time", "start time in s"),
+        ("--stop-time", "stop time in s"),
+        ("--step-size", "communication step in s"),
+        ("--output-interval", "time between recorded rows in s, a whole multiple of the step"),
+    ):
+        sub.add_argument(option, type=float, help=f"{text} (default: the system's)")
+    sub.add_argument(
+        "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="start values by component.variable"
+    )
+    sub.add_argument("--input-file", type=Path, help="CSV of inputs, columns component.variable")
+    sub.add_argument("--output-file", type=Path, help="CSV to write")
+    sub.add_argument("--scheme", choices=["jacobi", "gauss-seidel"], default="jacobi", help="order of the coupling")
+    sub.add_argument("--show-plot", action="store_true", help="open a window with the signals")
+
+    sub = command("demo", _demo, "Run the paper's example and write its figures.")
+    sub.add_argument(
+        "--out",
+        type=Path,
+        default=Path("results", _DEMO_MODEL),
+        metavar="DIR",
+        help="folder of the results (%(default)s)",
+    )
+    return parser

@@ -1,0 +1,101 @@
+"""The figures of a run: disturbance and estimate, state error, and what the schedule of π prevents."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ndob_fmu.results import Recording, atomic_path
+
+Array = NDArray[np.float64]
+_STYLE = {
+    "font.size": 10,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+    "savefig.dpi": 150,
+}
+
+
+def plot_disturbance(
+    path: Path, time: Array, true: Array, estimate: Array, *, label: str, settled_at: float | None
+) -> None:
+    """Write figure 1: the disturbance and its estimate over time in s, and below it their difference."""
+    with _figure(path, rows=2) as (above, below):
+        above.plot(time, true, "k--", linewidth=1.2, label="true")
+        above.plot(time, estimate, color="C0", label="estimate")
+        above.set_ylabel(label)
+        if settled_at is not None:
+            above.axvline(settled_at, color="C2", linewidth=1, label=f"within 2 % from {settled_at:.2f} s")
+        above.legend(loc="lower right")
+        above.set_title("Disturbance and its estimate")
+        _log_magnitude(below, time, estimate - true)
+        below.set_ylabel("|estimate − true|")
+        below.set_xlabel("time [s]")
+
+
+def plot_state_error(path: Path, time: Array, error_norm: Array) -> None:
+    """Write figure 2: the norm of the state's estimation error, linear above and logarithmic below."""
+    with _figure(path, rows=2) as (above, below):
+        above.plot(time, error_norm, color="C1")
+        above.set_ylabel("‖x − x̂‖")
+        above.set_title("Norm of the state estimation error")
+        _log_magnitude(below, time, error_norm, color="C1")
+        below.set_ylabel("‖x − x̂‖")
+        below.set_xlabel("time [s]")
+
+
+def plot_peaking(path: Path, scheduled: tuple[Array, Array], at_once: tuple[Array, Array], *, label: str) -> None:
+    """Write figure 3: |d̂| with π raised along its schedule and with its final value from the start."""
+    with _figure(path, rows=1) as (axes,):
+        for (time, estimate), text, color in (
+            (at_once, "final π from the start", "C3"),
+            (scheduled, "π raised along the schedule", "C0"),
+        ):
+            peak = float(np.max(np.abs(estimate)))
+            axes.semilogy(time, np.maximum(np.abs(estimate), 1e-3), color=color, label=f"{text}: peak {peak:.3g}")
+        axes.set_xlim(0.0, float(at_once[0][-1]))
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"magnitude of {label}")
+        axes.set_title("Peaking that the schedule of π avoids")
+        axes.legend(loc="upper right")
+
+
+def show(recording: Recording) -> None:
+    """Open a window with every recorded signal, one row per component."""
+    import matplotlib.pyplot as plt  # only here: it looks for a screen
+
+    components = sorted({name.split(".")[0] for name in recording.names})
+    _, rows = plt.subplots(len(components), squeeze=False, sharex=True, layout="constrained")
+    for axes, component in zip(rows[:, 0], components, strict=True):
+        for name in recording.names:
+            if name.startswith(f"{component}."):
+                axes.plot(recording.time, recording[name], label=name.removeprefix(f"{component}."))
+        axes.set_title(component)
+        axes.legend(fontsize="small")
+    rows[-1, 0].set_xlabel("time [s]")
+    plt.show()
+
+
+def _log_magnitude(axes: Axes, time: Array, value: Array, color: str = "C0") -> None:
+    axes.semilogy(time, np.maximum(np.abs(value), 1e-12), color=color)
+
+
+@contextmanager
+def _figure(path: Path, rows: int) -> Iterator[list[Axes]]:
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(7.0, 2.4 + 2.0 * (rows - 1) + (1.0 if rows == 1 else 0.4)))
+        axes = figure.subplots(rows, squeeze=False, sharex=True)[:, 0]
+        yield list(axes)
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, metadata={"Software": None})
