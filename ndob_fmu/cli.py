@@ -119,7 +119,8 @@ def _demo(options: argparse.Namespace) -> int:
         f"  state error at the end {summary['final_state_error']:.2e}; "
         f"largest estimate {summary['peak_estimate']:.3g} N·m "
         f"(without the schedule {summary['peak_estimate_without_schedule']:.3g})\n"
-        f"Look at {options.out}: fig1_disturbance.png, fig2_state_error.png, fig3_peaking.png, result.csv, summary.json."
+        f"Look at fig1_disturbance.png, fig2_state_error.png, fig3_peaking.png, result.csv and summary.json "
+        f"in {options.out}."
     )
     return 0
 

@@ -110,7 +110,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
         results / "fig3_peaking.png",
         (shown.time, shown.estimate),
         (peaking.time, peaking.estimate),
-        label=f"the estimated {label}",
+        label=f"estimated {label}",
     )
     write_json(results / "summary.json", summary)
     return summary

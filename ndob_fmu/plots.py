@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from ndob_fmu.results import Recording, atomic_path
 
 Array = NDArray[np.float64]
-_STYLE = {
+_STYLE: Any = {
     "font.size": 10,
     "axes.grid": True,
     "grid.alpha": 0.3,
@@ -40,7 +41,7 @@ def plot_disturbance(
         above.legend(loc="lower right")
         above.set_title("Disturbance and its estimate")
         _log_magnitude(below, time, estimate - true)
-        below.set_ylabel("|estimate − true|")
+        below.set_ylabel("|estimate − true|, same unit")
         below.set_xlabel("time [s]")
 
 
@@ -64,9 +65,10 @@ def plot_peaking(path: Path, scheduled: tuple[Array, Array], at_once: tuple[Arra
         ):
             peak = float(np.max(np.abs(estimate)))
             axes.semilogy(time, np.maximum(np.abs(estimate), 1e-3), color=color, label=f"{text}: peak {peak:.3g}")
-        axes.set_xlim(0.0, float(at_once[0][-1]))
+        axes.set_xscale("log")
+        axes.set_xlim(float(at_once[0][1]), float(at_once[0][-1]))
         axes.set_xlabel("time [s]")
-        axes.set_ylabel(f"magnitude of {label}")
+        axes.set_ylabel(f"|{label}|")
         axes.set_title("Peaking that the schedule of π avoids")
         axes.legend(loc="upper right")
 

@@ -87,14 +87,14 @@ def _unit_definitions(variables: Iterable[Variable]) -> ET.Element:
 
 
 def _base_unit(name: str) -> dict[str, str]:
-    registry = pint.get_application_registry()
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry()
     try:
         one, zero = (
             registry.Quantity(value, name.replace(".", "*").replace("^", "**")).to_base_units() for value in (1.0, 0.0)
         )
         attributes = {}
         for base, exponent in one.unit_items():
-            attributes[_BASE_UNITS[base]] = str(int(exponent))
+            attributes[_BASE_UNITS[base]] = str(int(float(exponent)))
     except (pint.errors.PintError, KeyError, ValueError, AssertionError) as error:
         raise ModelError.report(
             f"unit {name!r}", expected="a unit of physics, like N.m or rad/s", received=f"{name!r} ({error})"
