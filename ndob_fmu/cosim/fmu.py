@@ -1,0 +1,171 @@
+"""An FMI 2.0 co-simulation FMU as a component."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
+
+from ndob_fmu.cosim.archive import open_archive
+from ndob_fmu.cosim.component import Array, Value, Variable, recordable
+from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.fmu_buffers import Buffer, buffers
+from ndob_fmu.cosim.fmu_description import read_description
+from ndob_fmu.cosim.fmu_log import FmuLog
+from ndob_fmu.errors import NdobError, SimulationError
+
+_log = logging.getLogger(__name__)
+_STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
+
+
+class FmuComponent:
+    """One FMU; an instance of it exists from ``setup`` to ``close``, unpacked in a temporary folder of its own.
+
+    Making one reads the model description only. Raises UsageError if there is no such file, CouplingError if it is not
+    an FMU for FMI 2.0 co-simulation; the calls of the component raise SimulationError naming component, time and the
+    FMU's last message.
+    """
+
+    def __init__(self, path: str | Path, name: str | None = None) -> None:
+        self.path = Path(path)
+        self.name = name or self.path.stem
+        self._description = read_description(self.path)
+        self._types = {variable.name: variable.type for variable in self.variables}
+        self._log = FmuLog(self.name)
+        self._folder: Path | None = None
+        self._fmu: Any = None
+        self._initialized = False
+        self._worst_status = fmi2.fmi2OK
+        self._time = 0.0
+        self._inputs: list[Buffer] = []
+        self._outputs: list[Buffer] = []
+
+    @property
+    def variables(self) -> Sequence[Variable]:
+        """Every variable of the model description, in its order."""
+        return self._description.variables
+
+    @property
+    def experiment(self) -> Experiment:
+        """The FMU's default experiment."""
+        return self._description.experiment
+
+    def setup(
+        self, start_time: float, stop_time: float, start_values: Mapping[str, Value], inputs: Sequence[str]
+    ) -> None:
+        """Unpack, load and instantiate the FMU, give it its start values and enter initialization mode."""
+        self._time, self._worst_status = start_time, fmi2.fmi2OK
+        self._log.open()
+        self._folder = Path(tempfile.mkdtemp(prefix="ndob_fmu_"))
+        with open_archive(self.path) as archive:
+            archive.extractall(self._folder)
+        self._fmu = self._load(self._folder)
+        self._call(self._fmu.setupExperiment, None, start_time, stop_time)
+        for buffer in self._buffers(tuple(start_values)):
+            buffer.load([start_values[name] for name in buffer.names])
+            self._call(buffer.set, self._fmu)
+        strings = {name: value for name, value in start_values.items() if self._types[name] == "String"}
+        if strings:
+            self._call(self._fmu.setString, [self._description.references[name] for name in strings], strings.values())
+        self._inputs = self._buffers(inputs)
+        self._outputs = self._buffers([variable.name for variable in recordable(self.variables)])
+        self._call(self._fmu.enterInitializationMode)
+
+    def set_inputs(self, values: Array) -> None:
+        """Set the inputs announced to ``setup``, (len(inputs),), with one FMI call for each type."""
+        try:
+            for buffer in self._inputs:
+                buffer.scatter(values)
+                buffer.set(self._fmu)
+        except FMICallException as error:
+            raise self._failure(error) from error
+
+    def get_outputs(self, values: Array) -> None:
+        """Write the numeric outputs into ``values``, with one FMI call for each type."""
+        try:
+            for buffer in self._outputs:
+                buffer.get(self._fmu)
+                buffer.gather(values)
+        except FMICallException as error:
+            raise self._failure(error) from error
+
+    def initialize(self) -> None:
+        """Leave initialization mode."""
+        self._call(self._fmu.exitInitializationMode)
+        self._initialized = True
+
+    def step(self, time: float, step_size: float) -> None:
+        """Do one communication step of ``step_size`` from ``time`` (s)."""
+        self._time = time
+        try:
+            self._fmu.doStep(time, step_size)
+        except FMICallException as error:
+            raise self._failure(error) from error
+        self._time = time + step_size
+
+    def close(self) -> None:
+        """Terminate and free the instance and delete its folder; after a fatal status FMI allows the last only."""
+        fmu, self._fmu = self._fmu, None
+        try:
+            if fmu is not None and self._worst_status < fmi2.fmi2Fatal:
+                try:
+                    if self._initialized and self._worst_status < fmi2.fmi2Error:
+                        fmu.terminate()
+                except FMICallException as error:
+                    _log.warning("%s: %s", self.name, error)
+                fmu.freeInstance()
+        finally:
+            self._initialized = False
+            self._log.close()
+            if self._folder is not None:
+                shutil.rmtree(self._folder, ignore_errors=True)  # a library still loaded cannot be deleted on Windows
+                self._folder = None
+
+    def _load(self, folder: Path) -> Any:
+        here = Path.cwd()
+        try:
+            fmu = fmi2.FMU2Slave(
+                instanceName=self.name,
+                guid=self._description.guid,
+                modelIdentifier=self._description.model_identifier,
+                unzipDirectory=str(folder),
+            )
+        except Exception as error:  # fmpy raises plain Exception; ctypes AttributeError for a missing function
+            raise self._refusal(
+                "a library that can be loaded", str(error).replace(str(folder), self.path.name)
+            ) from error
+        finally:
+            os.chdir(here)  # fmpy stays in the library's folder when loading fails
+        try:
+            fmu.instantiate(callbacks=self._log.callbacks, loggingOn=True)
+        except Exception as error:
+            with suppress(Exception):
+                fmu.freeLibrary()
+            raise self._refusal("an instance", str(error)) from error
+        return fmu
+
+    def _buffers(self, names: Sequence[str]) -> list[Buffer]:
+        return buffers(names, self._types, self._description.references)
+
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> None:
+        try:
+            function(*arguments)
+        except FMICallException as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: FMICallException) -> NdobError:
+        self._worst_status = max(self._worst_status, error.status)
+        status = _STATUS[error.status] if error.status < len(_STATUS) else f"status {error.status}"
+        return self._refusal(f"{error.function} to succeed", status)
+
+    def _refusal(self, expected: str, received: str) -> NdobError:
+        where = f"component {self.name} at t = {self._time:.12g} s"
+        return SimulationError.report(where, expected=expected, received=received, likely=self._log.last)

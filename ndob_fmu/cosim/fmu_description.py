@@ -1,0 +1,82 @@
+"""Reading an FMU's model description, without unpacking or loading the FMU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from fmpy.model_description import read_model_description
+
+from ndob_fmu.cosim.archive import open_archive
+from ndob_fmu.cosim.component import Variable
+from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.values import convert
+from ndob_fmu.errors import CouplingError
+
+
+@dataclass(frozen=True)
+class FmuDescription:
+    """What the master needs of ``modelDescription.xml``; references: value reference of each variable."""
+
+    guid: str
+    model_identifier: str
+    variables: tuple[Variable, ...]
+    references: dict[str, int]
+    experiment: Experiment
+
+
+def read_description(path: Path) -> FmuDescription:
+    """Read the model description of an FMI 2.0 co-simulation FMU.
+
+    Raises UsageError if there is no such file, CouplingError if it is not such an FMU.
+    """
+    expected = "an FMU for FMI 2.0 co-simulation"
+    with open_archive(path) as archive:
+        if "modelDescription.xml" not in archive.namelist():
+            raise CouplingError.report(str(path), expected=expected, received="an archive without modelDescription.xml")
+        xml = archive.read("modelDescription.xml")
+    try:
+        version = ElementTree.fromstring(xml).get("fmiVersion")
+        if version != "2.0":
+            raise CouplingError.report(str(path), expected=expected, received=f"one for FMI {version}")
+        with path.open("rb") as file:  # given a path, fmpy leaves the file open when it fails
+            # Not validated against the schema: common exporters fail it in ways that do not matter for a run.
+            model = read_model_description(file, validate=False)
+    except CouplingError:
+        raise
+    except Exception as error:  # fmpy raises plain Exception, and whatever its parser stumbles over
+        received = str(error).partition("\n")[0] or repr(error)
+        raise CouplingError.report(str(path), expected="a readable modelDescription.xml", received=received) from error
+    if model.coSimulation is None:
+        raise CouplingError.report(str(path), expected=expected, received="one for model exchange only")
+    return FmuDescription(
+        model.guid,
+        model.coSimulation.modelIdentifier,
+        tuple(_variable(entry, path) for entry in model.modelVariables),
+        {entry.name: entry.valueReference for entry in model.modelVariables},
+        _experiment(model.defaultExperiment),
+    )
+
+
+def _variable(entry: Any, path: Path) -> Variable:
+    variable = Variable(
+        entry.name,
+        entry.causality,
+        entry.type,
+        entry.unit or (entry.declaredType.unit if entry.declaredType else None),
+        None,
+        # FMI 2.0, section 2.2.7: only these may be set before initialization.
+        entry.variability != "constant" and (entry.causality == "input" or entry.initial in ("exact", "approx")),
+    )
+    if entry.start is None:
+        return variable
+    return replace(variable, start=convert(variable, entry.start, f"{path}, start value of {entry.name}"))
+
+
+def _experiment(entry: Any) -> Experiment:
+    if entry is None:
+        return Experiment()
+    times = (entry.startTime, entry.stopTime, entry.stepSize)
+    return Experiment(*(None if time is None else float(time) for time in times))
