@@ -1,0 +1,23 @@
+"""Coupled simulation of FMUs: any FMI 2.0 co-simulation FMUs, wired in Python or by an SSP package."""
+
+from ndob_fmu.cosim.component import Component, Value, Variable
+from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.package import build_ssp
+from ndob_fmu.cosim.run import simulate
+from ndob_fmu.cosim.ssp import open_ssp
+from ndob_fmu.cosim.system import Connection, Port, System
+from ndob_fmu.results import Recording
+
+__all__ = [
+    "Component",
+    "Connection",
+    "FmuComponent",
+    "Port",
+    "Recording",
+    "System",
+    "Value",
+    "Variable",
+    "build_ssp",
+    "open_ssp",
+    "simulate",
+]

@@ -1,0 +1,86 @@
+"""One call from a system, a package or a single FMU to the recorded signals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from ndob_fmu.cosim import master
+from ndob_fmu.cosim.clock import Clock
+from ndob_fmu.cosim.component import Value
+from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.inputs import NO_INPUTS, read_inputs
+from ndob_fmu.cosim.ssp import open_ssp
+from ndob_fmu.cosim.system import Port, System
+from ndob_fmu.cosim.wiring import wire
+from ndob_fmu.errors import UsageError
+from ndob_fmu.results import Recording
+
+
+def simulate(
+    system: System | str | Path,
+    *,
+    start_time: float | None = None,
+    stop_time: float | None = None,
+    step_size: float | None = None,
+    output_interval: float | None = None,
+    start_values: Mapping[str, Value] | None = None,
+    input_file: str | Path | None = None,
+    scheme: str = "jacobi",
+    progress: bool | None = None,
+) -> Recording:
+    """Co-simulate with a fixed communication step and return every numeric output, one row per communication point.
+
+    system: a System, the path of an .ssp, or that of an .fmu, whose variables may then be named without the component
+    and whose inputs keep the start values of its model description. Times in seconds; one that is None comes from the
+    default experiment of the .ssp or .fmu, the start time else is 0, and each communication point is recorded.
+    start_values: ``component.variable`` → value. input_file: CSV in fmpy's form with columns ``component.variable``,
+    each row held until the next; its columns replace start values that the system itself gives. scheme: ``jacobi`` or
+    ``gauss-seidel`` (in the order of the components). progress: a bar on stderr for runs longer than 2 s; None shows
+    it on terminals only.
+
+    Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
+    SimulationError for a component that fails. No component and no temporary file outlives the call.
+    """
+    with _opened(system) as (opened, experiment):
+        clock = Clock.over(
+            _first(start_time, experiment.start_time, 0.0),
+            _time("stop time", stop_time, experiment.stop_time),
+            _time("step size", step_size, experiment.step_size),
+            output_interval,
+        )
+        starts = {opened.port(name): value for name, value in (start_values or {}).items()}
+        table = NO_INPUTS if input_file is None else read_inputs(input_file, opened)
+        return master.run(wire(opened, table, starts), clock, scheme=scheme, progress=progress)
+
+
+@contextmanager
+def _opened(system: System | str | Path) -> Iterator[tuple[System, Experiment]]:
+    if isinstance(system, System):
+        yield system, Experiment()
+    elif Path(system).suffix == ".ssp":
+        with open_ssp(system) as opened:
+            yield opened
+    elif Path(system).suffix == ".fmu":
+        fmu = FmuComponent(system)
+        inputs = [v for v in fmu.variables if v.causality == "input" and v.start is not None]
+        starts = {Port(fmu.name, v.name): v.start for v in inputs if v.start is not None}
+        yield System({fmu.name: fmu}, start_values=starts), fmu.experiment
+    else:
+        raise UsageError.report(
+            "system", expected="a System or the path of an .ssp or .fmu", received=repr(str(system))
+        )
+
+
+def _first(*candidates: float | None) -> float:
+    return next(float(value) for value in candidates if value is not None)
+
+
+def _time(name: str, given: float | None, default: float | None) -> float:
+    if given is None and default is None:
+        raise UsageError.report(
+            name, expected="a number of seconds", received="none", likely="the system has no default for it; give one"
+        )
+    return _first(given, default)

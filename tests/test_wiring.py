@@ -1,0 +1,229 @@
+"""What a system may look like; every mistake ends in one line that names the place."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mock_components import Mock, constant, gain, integrator
+
+import ndob_fmu
+from ndob_fmu.cosim import System, Variable, simulate
+from ndob_fmu.errors import CouplingError, UsageError
+
+PLANT = [Variable("motor_torque", "input", unit="N.m"), Variable("load_torque", "input", unit="N.m")]
+ANGLES = [Variable(name, "output", unit="rad", settable=False) for name in ("motor_angle", "link_angle")]
+PARAMETERS = [
+    Variable("mass", "parameter"),
+    Variable("kind", "parameter", "Integer"),
+    Variable("on", "parameter", "Boolean"),
+    Variable("label", "parameter", "String"),
+    Variable("derived", "calculatedParameter", settable=False),
+]
+OBSERVER = [
+    Variable("motor_angle", "input", unit="rad"),
+    Variable("angle_deg", "input", unit="deg"),
+    Variable("count", "input", "Integer"),
+    Variable("name", "input", "String"),
+    Variable("free", "input"),
+]
+
+
+def plant():
+    more = [*ANGLES, Variable("note", "output", "String")]
+    return Mock(PLANT, more, output=lambda x, u: [u["motor_torque"], u["load_torque"]], parameters=PARAMETERS)
+
+
+def observer():
+    return Mock(OBSERVER, ["a_hat", "b_hat", "c_hat"], output=lambda x, u: [u["motor_angle"], u["count"], u["free"]])
+
+
+def couple(*connections, starts=None):
+    pairs = tuple((tuple(a.split(".")), tuple(b.split("."))) for a, b in connections)
+    values = {tuple(name.split(".")): value for name, value in (starts or {}).items()}
+    return System({"plant": plant(), "observer": observer()}, pairs, values)
+
+
+GOOD = ("plant.motor_angle", "observer.motor_angle")
+STARTS = {
+    "plant.motor_torque": 2.0,
+    "plant.load_torque": 3.0,
+    "observer.angle_deg": 0,
+    "observer.count": 4,
+    "observer.name": "",
+    "observer.free": 5.0,
+}
+
+
+def test_a_well_wired_system_runs():
+    recording = simulate(couple(GOOD, starts=STARTS), stop_time=1.0, step_size=0.5)
+    assert recording.names == (
+        "plant.motor_angle",
+        "plant.link_angle",
+        "observer.a_hat",
+        "observer.b_hat",
+        "observer.c_hat",
+    )
+    np.testing.assert_array_equal(recording.columns, [[2, 3, 2, 4, 5]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("connection", "parts"),
+    [
+        (("plnat.motor_angle", "observer.motor_angle"), ["component of plnat.motor_angle", "did you mean 'plant'?"]),
+        (("plant.moter_angle", "observer.motor_angle"), ["variable of plant", "'moter_angle'", "mean 'motor_angle'?"]),
+        (("plant.motor_angle", "observer.link_angel"), ["variable of observer", "one of a_hat", "'link_angel'"]),
+        (("plant.mass", "observer.motor_angle"), ["an output as the source plant.mass", "received parameter"]),
+        (("plant.motor_angle", "observer.a_hat"), ["an input as the target observer.a_hat", "received output"]),
+        (("plant.motor_angle", "observer.count"), ["the type Integer of observer.count", "received Real"]),
+        (("plant.motor_angle", "observer.angle_deg"), ["the unit deg of observer.angle_deg", "received rad"]),
+        (("plant.note", "observer.name"), ["a numeric or Boolean signal", "String"]),
+    ],
+)
+def test_a_connection_that_cannot_be_is_refused_and_the_nearest_name_suggested(connection, parts):
+    with pytest.raises(CouplingError) as refused:
+        couple(connection)
+    assert all(text in str(refused.value) for text in parts), str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_unit_declared_on_one_side_only_is_no_mismatch():
+    assert couple(("plant.motor_angle", "observer.free")).connections
+
+
+@pytest.mark.parametrize(
+    ("build", "parts"),
+    [
+        (
+            lambda: couple(GOOD, ("plant.link_angle", "observer.motor_angle")),
+            ["input observer.motor_angle", "exactly one driver", "plant.motor_angle and plant.link_angle"],
+        ),
+        (
+            lambda: couple(GOOD, starts={"observer.motor_angle": 1.0}),
+            ["input observer.motor_angle", "connection from plant.motor_angle and the start value 1.0"],
+        ),
+    ],
+)
+def test_an_input_with_two_drivers_is_refused(build, parts):
+    with pytest.raises(CouplingError) as refused:
+        build()
+    assert all(text in str(refused.value) for text in parts), str(refused.value)
+
+
+def test_every_input_without_a_driver_is_named_before_anything_runs():
+    system = couple(GOOD, starts={k: v for k, v in STARTS.items() if k not in ("plant.load_torque", "observer.free")})
+    with pytest.raises(CouplingError, match=r"inputs plant\.load_torque, observer\.free: expected a connection, a col"):
+        simulate(system, stop_time=1.0, step_size=0.5)
+    assert system.components["plant"].calls == []
+
+
+def input_file(folder, *columns):
+    path = folder / "u.csv"
+    path.write_text(",".join(["time", *columns]) + "\n" + ",".join(["0"] + ["9"] * len(columns)) + "\n")
+    return path
+
+
+def test_a_column_of_the_input_file_replaces_a_start_value_of_the_system(tmp_path):
+    file = input_file(tmp_path, "plant.load_torque")
+    recording = simulate(couple(GOOD, starts=STARTS), stop_time=1.0, step_size=0.5, input_file=file)
+    np.testing.assert_array_equal(recording["plant.link_angle"], [9, 9, 9])
+    np.testing.assert_array_equal(recording["plant.motor_angle"], [2, 2, 2])
+
+
+@pytest.mark.parametrize(
+    ("column", "starts", "part"),
+    [
+        ("observer.motor_angle", None, "a column of the input file and the connection from plant.motor_angle"),
+        ("observer.free", {"observer.free": 1.0}, "a column of the input file and a start value of this run"),
+    ],
+)
+def test_a_column_for_an_input_that_this_run_drives_already_is_refused(tmp_path, column, starts, part):
+    with pytest.raises(CouplingError, match=part):
+        simulate(
+            couple(GOOD, starts=STARTS),
+            stop_time=1.0,
+            step_size=0.5,
+            start_values=starts,
+            input_file=input_file(tmp_path, column),
+        )
+
+
+def test_start_values_of_a_run_replace_those_of_the_system_for_this_run_only():
+    system = couple(GOOD, starts=STARTS)
+    for starts, expected in (({"plant.motor_torque": 7.0}, 7.0), (None, 2.0)):
+        recording = simulate(system, stop_time=1.0, step_size=0.5, start_values=starts)
+        np.testing.assert_array_equal(recording["observer.a_hat"], [expected] * 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error", "parts"),
+    [
+        ("plant.mas", 1.0, CouplingError, ["variable of plant", "did you mean 'mass'?"]),
+        ("plnt.mass", 1.0, CouplingError, ["'plnt.mass'", "no such component", "mean 'plant.mass'?"]),
+        ("mass", 1.0, CouplingError, ["'mass'", "components plant, observer", "mean 'plant.mass'?"]),
+        ("plant.derived", 1.0, CouplingError, ["takes a start value", "causality calculatedParameter"]),
+        ("plant.motor_angle", 1.0, CouplingError, ["takes a start value", "causality output"]),
+        ("plant.mass", "heavy", UsageError, ["plant.mass", "a number (Real)", "'heavy'"]),
+        ("plant.kind", 1.5, UsageError, ["plant.kind", "a whole number (Integer)", "'1.5'"]),
+        ("plant.kind", float("inf"), UsageError, ["a whole number (Integer)", "'inf'"]),
+        ("plant.on", "yes", UsageError, ["plant.on", "true, false, 1 or 0 (Boolean)", "'yes'"]),
+        ("plant.on", 2, UsageError, ["plant.on", "true, false, 1 or 0 (Boolean)", "'2'"]),
+    ],
+)
+def test_a_start_value_that_does_not_fit_is_refused(name, value, error, parts):
+    system = couple(GOOD, starts=STARTS)
+    with pytest.raises(error) as refused:
+        simulate(system, stop_time=1.0, step_size=0.5, start_values={name: value})
+    assert all(text in str(refused.value) for text in parts), str(refused.value)
+    assert system.components["plant"].calls == []
+
+
+def test_start_values_arrive_in_the_type_of_their_variable_also_when_written_as_text():
+    system = couple(GOOD, starts=STARTS)
+    written = {"plant.mass": "2.5", "plant.kind": "3", "plant.on": "true", "plant.label": "arm"}
+    simulate(system, stop_time=1.0, step_size=0.5, start_values=written)
+    u = system.components["plant"].u
+    assert [u["mass"], u["kind"], u["on"], u["label"]] == [2.5, 3, True, "arm"]
+    assert [type(u[name]) for name in ("kind", "on")] == [int, bool]
+
+
+def test_a_system_of_one_component_understands_bare_names_with_and_without_dots():
+    part = Mock(["u"], ["y"], output=lambda x, u: [u["u"]], parameters=[Variable("disturbance.kind", "parameter")])
+    simulate(System({"a": part}), stop_time=1, step_size=1, start_values={"u": 1, "disturbance.kind": 2})
+    assert part.u == {"u": 1.0, "disturbance.kind": 2.0}
+    simulate(System({"a": part}), stop_time=1, step_size=1, start_values={"a.u": 3, "a.disturbance.kind": 4})
+    assert part.u == {"u": 3.0, "disturbance.kind": 4.0}
+
+
+def test_one_output_may_drive_several_inputs():
+    parts = {"one": constant(2.0), "a": integrator(), "b": gain(3.0)}
+    system = System(parts, ((("one", "y"), ("a", "u")), (("one", "y"), ("b", "u"))))
+    recording = simulate(system, stop_time=1.0, step_size=0.5)
+    np.testing.assert_array_equal(recording.columns, [[2, 0, 6], [2, 1, 6], [2, 2, 6]])
+
+
+def test_a_system_that_is_neither_a_system_nor_a_known_file_is_refused():
+    with pytest.raises(
+        UsageError, match=r"system: expected a System or the path of an \.ssp or \.fmu, received 'a\.txt'"
+    ):
+        simulate("a.txt", stop_time=1.0, step_size=0.5)
+
+
+def test_the_coupling_knows_nothing_of_models_and_observers_so_that_it_runs_any_fmu():
+    imported = {
+        name
+        for file in (Path(ndob_fmu.__file__).parent / "cosim").glob("*.py")
+        for node in ast.walk(ast.parse(file.read_text()))
+        for name in (
+            [node.module]
+            if isinstance(node, ast.ImportFrom)
+            else [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else []
+        )
+        if name.startswith("ndob_fmu")
+    }
+    outside = {name for name in imported if not name.startswith("ndob_fmu.cosim")}
+    assert outside == {"ndob_fmu.errors", "ndob_fmu.results"}
