@@ -108,7 +108,10 @@ def _function(
 
 
 def _text(printer: PythonCodePrinter, expression: sympy.Expr) -> str:
-    text: str = printer.doprint(expression)
+    try:
+        text: str = printer.doprint(expression)
+    except NotImplementedError:  # SymPy from 1.13 on raises where it used to write a comment
+        text = "Not supported"
     if "Not supported" in text:
         raise ModelError.report(
             "f", expected="functions with a Python form", received=str(expression), likely="an undefined function"

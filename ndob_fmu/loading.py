@@ -33,12 +33,13 @@ def load_model(source: str | Path) -> Model:
         model = runpy.run_path(str(path)).get("model")
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
-    except Exception as error:  # whatever the user's file raises is a broken file
-        last = traceback.extract_tb(error.__traceback__)[-1]
+    except (Exception, SystemExit) as error:  # whatever the user's file raises is a broken file
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else (lines or [None])[-1]
         raise ModelError.report(
             str(path),
             expected="a Python file that runs",
-            received=f"{type(error).__name__}: {error} (line {getattr(error, 'lineno', None) or last.lineno})",
+            received=" ".join(f"{type(error).__name__}: {error}".split()) + (f" (line {line})" if line else ""),
         ) from error
     if not isinstance(model, Model):
         raise ModelError.report(
