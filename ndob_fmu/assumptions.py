@@ -141,7 +141,9 @@ def _zero_rows(system: Balanced, alpha: float) -> Iterator[Row]:
                 requirement,
                 f"degenerate, normal rank {rank} < {q}: every z is a zero",
                 failure=f"a transfer matrix from unknown inputs to outputs of normal rank {rank} where {q} is needed",
-                likely="too few outputs" if p < q else "two unknown inputs reach the outputs in the same way",
+                likely="too few outputs"
+                if p < q
+                else "an unknown input reaches no output, or two reach the outputs in the same way",
                 values={"normal_rank": rank},
             )
         return
@@ -204,7 +206,7 @@ def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> Row:
 def _dominant(vector: Any, labels: Sequence[str]) -> str:
     """Return the labels of the entries that are at least half as large as the largest."""
     sizes = np.abs(vector)
-    return ", ".join(labels[i] for i in np.argsort(-sizes, kind="stable") if sizes[i] >= 0.5 * np.max(sizes))
+    return ", ".join(label for label, size in zip(labels, sizes, strict=True) if size >= 0.5 * np.max(sizes))
 
 
 def _numbers(values: ComplexArray | Array, digits: int = 6) -> str:

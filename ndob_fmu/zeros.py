@@ -89,7 +89,7 @@ def transmission_zeros(linear: LinearPart) -> ComplexArray:
             "transmission zeros",
             expected=f"{q} unknown inputs that the {len(linear.C)} outputs tell apart",
             received=f"a transfer matrix of normal rank {rank}",
-            likely="p < q, or two unknown inputs that reach the outputs in the same way",
+            likely="p < q, an unknown input that reaches no output, or two that reach the outputs in the same way",
         )
     return system.rate * zeros
 
