@@ -94,7 +94,7 @@ def _base_unit(name: str) -> dict[str, str]:
         )
         attributes = {}
         for base, exponent in one.unit_items():
-            attributes[_BASE_UNITS[base]] = str(int(float(exponent)))
+            attributes[_BASE_UNITS[base]] = f"{exponent:.0f}"
     except (pint.errors.PintError, KeyError, ValueError, AssertionError) as error:
         raise ModelError.report(
             f"unit {name!r}", expected="a unit of physics, like N.m or rad/s", received=f"{name!r} ({error})"
