@@ -125,22 +125,13 @@ def _demo(options: argparse.Namespace) -> int:
     return 0
 
 
-def _pairs(words: Sequence[str]) -> dict[str, Any]:
-    """Return NAME VALUE … as a mapping of numbers; true and false count as Booleans."""
+def _pairs(words: Sequence[str]) -> dict[str, str]:
+    """Return NAME VALUE … as a mapping; `simulate` reads each value by the variable's type."""
     if len(words) % 2:
         raise UsageError.report(
             "--start-values", expected="pairs NAME VALUE", received=f"{len(words)} words", likely="a value is missing"
         )
-    values: dict[str, Any] = {}
-    for name, word in zip(words[::2], words[1::2], strict=True):
-        if word.lower() in ("true", "false"):
-            values[name] = word.lower() == "true"
-            continue
-        try:
-            values[name] = float(word)
-        except ValueError:
-            raise UsageError.report(f"--start-values {name}", expected="a number", received=repr(word)) from None
-    return values
+    return dict(zip(words[::2], words[1::2], strict=True))
 
 
 def _json(data: Any) -> str:
