@@ -1,0 +1,32 @@
+# Every line below is a plain command; README.md gives the same ones for Windows.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test build lint clean
+
+demo: .venv/installed
+	$(BIN)/ndob-fmu demo
+
+build: .venv/installed
+	$(BIN)/ndob-fmu build flexible_joint --out build/fmus --systems build/ssp
+
+test: .venv/installed-test build lint
+	$(BIN)/pytest
+
+lint: .venv/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+# The stamps are touched last, so that an installation that was interrupted is tried again.
+.venv/installed: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+.venv/installed-test: pyproject.toml | .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	touch $@
