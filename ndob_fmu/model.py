@@ -87,7 +87,7 @@ class Model:
     @property
     def matched(self) -> bool:
         """Whether f and d enter through the same channel (eq. 1), or there is no f."""
-        return not self.f_expressions or self.G_f == self.G_d
+        return not self.f_expressions or _same(self.G_f, self.G_d)
 
     @cached_property
     def symbols(self) -> Mapping[str, sympy.Symbol]:
@@ -273,8 +273,8 @@ class Model:
 
     def _check_output_names(self) -> None:
         for row, name in enumerate(self.outputs):
-            unit_row = [1 if state == name else 0 for state in self.states]
-            if name in self.states and list(self.C.row(row)) != unit_row:
+            unit_row = sympy.Matrix([[1 if state == name else 0 for state in self.states]])
+            if name in self.states and not _same(self.C.row(row), unit_row):
                 raise ModelError.report(
                     f"{self.name}.outputs",
                     expected=f"output {name!r} to be the state of that name",
@@ -307,4 +307,9 @@ def _one_line(error: Exception) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)) or "none"
+    return ", ".join(sorted(set(names))) or "none"
+
+
+def _same(one: sympy.MatrixBase, other: sympy.MatrixBase) -> bool:
+    """Return whether two matrices are equal as numbers; SymPy's own == holds 1.0 and 1 to be different."""
+    return one.shape == other.shape and all((a - b).is_zero for a, b in zip(one, other, strict=True))
