@@ -6,6 +6,8 @@ validation, and importers see algebraic loops that are not there.
 
 from __future__ import annotations
 
+import functools
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 
@@ -82,23 +84,36 @@ def _unit_definitions(variables: Iterable[Variable]) -> ET.Element:
     definitions = ET.Element("UnitDefinitions")
     for name in sorted({variable.unit for variable in variables if variable.unit}):
         unit = ET.SubElement(definitions, "Unit", {"name": name})
-        ET.SubElement(unit, "BaseUnit", _base_unit(name))
+        base = _base_unit(name)
+        if base is not None:
+            ET.SubElement(unit, "BaseUnit", base)
     return definitions
 
 
-def _base_unit(name: str) -> dict[str, str]:
-    registry: pint.UnitRegistry[float] = pint.UnitRegistry()
+@functools.cache
+def _registry() -> pint.UnitRegistry[float]:
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry()  # a third of a second each
+    registry.define("@alias ohm = Ohm")
+    return registry
+
+
+def _base_unit(name: str) -> dict[str, str] | None:
+    """Return the attributes of FMI's BaseUnit; None for a broken power like cm2.5, for which FMI has no form."""
+    # As in Modelica a dot multiplies and a power follows its unit at once: kg.m2/s2.
+    formula = re.sub(r"(?<=[A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"**(\1)", name)
+    formula = re.sub(r"\.(?!\d)", "*", formula)
     try:
-        one, zero = (
-            registry.Quantity(value, name.replace(".", "*").replace("^", "**")).to_base_units() for value in (1.0, 0.0)
-        )
-        attributes = {}
-        for base, exponent in one.unit_items():
-            attributes[_BASE_UNITS[base]] = f"{exponent:.0f}"
-    except (pint.errors.PintError, KeyError, ValueError, AssertionError) as error:
+        one, zero = (_registry().Quantity(value, formula).to_base_units() for value in (1.0, 0.0))
+        powers = {_BASE_UNITS[base]: complex(power).real for base, power in one.unit_items()}
+    except Exception as error:  # for a text that is no formula pint raises more than its own errors
         raise ModelError.report(
-            f"unit {name!r}", expected="a unit of physics, like N.m or rad/s", received=f"{name!r} ({error})"
+            f"unit {name!r}",
+            expected="a unit of physics, like N.m, rad/s or kg.m2",
+            received=f"{name!r} ({' '.join(str(error).split())})",
         ) from error
+    if not all(power.is_integer() for power in powers.values()):
+        return None
+    attributes = {base: str(int(power)) for base, power in powers.items()}
     factor, offset = float(one.magnitude - zero.magnitude), float(zero.magnitude)
     if factor != 1.0:
         attributes["factor"] = repr(factor)
