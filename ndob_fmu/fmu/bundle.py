@@ -38,8 +38,12 @@ def bundle(class_name: str, slave_module: str, slave_class: str, equations_text:
 
     files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
     files[f"{equations}.py"] = renamed(equations_text)
+    modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
+        # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
+        # by the time another FMU of the process asks for the rest.
+        f"from {package} import {modules}\n"
         f"from {equations} import EQUATIONS\n"
         f"from {package}.{slave_module} import {slave_class}\n\n\n"
         f"class {class_name}({slave_class}):\n"
