@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable
+from math import isfinite
 from typing import Any
 
 from pythonfmu import (
@@ -34,7 +35,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.equations = equations
-        variables = self.declare()
+        self._variables = variables = self.declare()
         experiment = self.equations.experiment
         self.default_experiment = DefaultExperiment(
             start_time=0.0, stop_time=experiment.stop_time, step_size=experiment.step_size
@@ -96,6 +97,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the core; a step that cannot be taken is logged and discarded."""
         try:
+            if not (isfinite(step_size) and step_size > 0.0):
+                raise NdobError.report("communication step", expected="a finite time > 0 s", received=repr(step_size))
             self._publish(self.advance(current_time, step_size))
         except NdobError as error:
             self.log(str(error), Fmi2Status.discard)
@@ -158,14 +161,24 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def _refresh(self) -> None:
         parameters = [self._values[vr] for vr in self._parameter_references]
         if parameters != self._started_with:
-            try:
-                self.start(self._start_time)
-            except NdobError as error:
-                self.log(str(error), Fmi2Status.error)
-                raise
+            # An error ends the instance. It is not logged here: pythonfmu logs it, but drops it if there are messages.
+            self._check_parameters()
+            self.start(self._start_time)
             self._started_with = parameters
         self._publish(self.show())
         self._stale = False
+
+    def _check_parameters(self) -> None:
+        for variable in self._variables:
+            value = self.value(variable.name)
+            if variable.causality != "parameter":
+                continue
+            if variable.items is not None and value not in variable.items.values():
+                allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
+                raise NdobError.report(variable.name, expected=f"one of {allowed}", received=repr(value))
+            if not isfinite(value) or (variable.minimum is not None and value < variable.minimum):
+                least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
+                raise NdobError.report(variable.name, expected=f"a finite number{least}", received=repr(value))
 
     def _publish(self, outputs: Iterable[Any]) -> None:
         for vr, value in zip(self._output_references, outputs, strict=True):
