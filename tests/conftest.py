@@ -1,0 +1,49 @@
+"""What the tests share: the FMUs of the paper's example, built once, and a rule for continuous integration."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from ndob_fmu import build, load_model
+from ndob_fmu.cosim import build_ssp
+from ndob_fmu.shipped import shipped_folder
+
+STRICT = os.environ.get("CI", "").lower() == "true"
+
+
+@dataclass(frozen=True)
+class Built:
+    """The artefacts of `make build`, in a folder of the session's own."""
+
+    plant: Path
+    observer: Path
+    system: Path
+
+
+@pytest.fixture(scope="session")
+def flexible_joint(tmp_path_factory) -> Built:
+    folder = tmp_path_factory.mktemp("flexible_joint")
+    plant, observer = build(load_model("flexible_joint"), folder)
+    return Built(plant, observer, build_ssp(shipped_folder("ssp") / "open_loop", folder, folder))
+
+
+def _fail_if_skipped(report):
+    # Under CI=true: what a machine cannot run there nobody else runs either.
+    if STRICT and report.skipped and not hasattr(report, "wasxfail"):
+        report.outcome = "failed"
+        report.longrepr = f"skipped under CI=true, which counts as a failure: {report.longrepr}"
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    return _fail_if_skipped((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report():
+    return _fail_if_skipped((yield))
