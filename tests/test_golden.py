@@ -1,0 +1,91 @@
+"""The shipped references: fmpy, in a process without this package, must reproduce them with the built FMUs."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clean_process import fmpy as fmpy_command
+from fmpy.util import read_csv
+
+FMUS = Path(__file__).parents[1] / "fmus"
+
+
+def reference(name):
+    return read_csv(FMUS / name / f"{name}_ref.csv")
+
+
+def options(name):
+    with (FMUS / name / f"{name}_ref.opt").open() as file:
+        return {key: float(value) for key, value in csv.reader(file)}
+
+
+def run(fmu, folder, *words):
+    """Run `fmpy simulate` as the .opt file says; its communication step is what it calls the output interval."""
+    opt, result = options(fmu.stem), folder / "result.csv"
+    done = fmpy_command(
+        *("simulate", fmu, "--start-time", str(opt["StartTime"]), "--stop-time", str(opt["StopTime"])),
+        *("--output-interval", str(opt["StepSize"]), "--output-file", result, *words),
+        cwd=folder,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    every = round(opt["OutputIntervalHint"] / opt["StepSize"])
+    # fmpy writes Booleans as words that it cannot read itself.
+    result.write_text(result.read_text().replace("True", "1").replace("False", "0"))
+    return read_csv(result)[::every]
+
+
+def test_the_plant_reproduces_its_reference(flexible_joint, tmp_path):
+    expected, got = reference("FlexibleJointPlant"), run(flexible_joint.plant, tmp_path)
+    tolerance = options("FlexibleJointPlant")["RelTol"]
+    assert tolerance <= 1e-8
+    assert set(expected.dtype.names) <= set(got.dtype.names)
+    for name in expected.dtype.names:
+        np.testing.assert_allclose(got[name], expected[name], rtol=0, atol=tolerance, err_msg=name)
+
+
+def test_the_observer_reproduces_its_reference(flexible_joint, tmp_path):
+    inputs = FMUS / "FlexibleJointObserver" / "FlexibleJointObserver_in.csv"
+    got = run(flexible_joint.observer, tmp_path, "--input-file", inputs, "--start-values", "method", "1")
+    expected = reference("FlexibleJointObserver")
+    tolerance = options("FlexibleJointObserver")["RelTol"]
+    assert tolerance <= 1e-6
+    assert set(expected.dtype.names) <= set(got.dtype.names)
+    for name in expected.dtype.names:
+        span = np.ptp(expected[name])
+        np.testing.assert_allclose(got[name], expected[name], rtol=0, atol=tolerance * (span or 1.0), err_msg=name)
+
+
+def test_the_references_show_the_papers_result():
+    plant, observer = reference("FlexibleJointPlant"), reference("FlexibleJointObserver")
+    late = observer["time"] >= 12.0
+    assert np.abs(observer["load_torque_hat"][late] - 2.0).max() < 0.1  # at ten times the default step
+    final = [plant[state][-1] - observer[f"{state}_hat"][-1] for state in ("link_angle", "motor_angle", "motor_rate")]
+    assert np.linalg.norm(final) < 5e-3
+
+
+def test_the_references_are_what_their_generator_writes(tmp_path):
+    subprocess.run([sys.executable, FMUS / "regenerate.py", tmp_path], check=True, capture_output=True)
+    committed = sorted(path for folder in ("*_ref.csv", "*_in.csv", "*.opt") for path in FMUS.glob(f"*/{folder}"))
+    assert [path.relative_to(FMUS) for path in committed] == sorted(
+        (path.relative_to(tmp_path) for path in tmp_path.glob("*/*")), key=lambda path: committed.index(FMUS / path)
+    )
+    for path in committed:
+        new = tmp_path / path.relative_to(FMUS)
+        if path.suffix == ".opt":
+            assert new.read_text() == path.read_text()
+            continue
+        old_table, new_table = read_csv(path), read_csv(new)
+        assert old_table.dtype.names == new_table.dtype.names
+        for name in old_table.dtype.names:
+            # Not to the last bit: another machine's arithmetic unit may round the steps of the solver otherwise.
+            np.testing.assert_allclose(new_table[name], old_table[name], rtol=0, atol=1e-7, err_msg=f"{path} {name}")
+
+
+@pytest.mark.parametrize("path", sorted(FMUS.glob("*/*")), ids=lambda path: path.name)
+def test_no_reference_file_is_large(path):
+    assert path.stat().st_size < 300_000
