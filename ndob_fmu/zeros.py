@@ -21,7 +21,7 @@ from ndob_fmu.runtime.riccati import Array
 ComplexArray = NDArray[np.complex128]
 
 RANK_TOLERANCE = 1e-10
-_NOISE = 1e-10  # entries below this after the first balancing are rounding errors and have no say in the second
+_REWEIGHTINGS = 20
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,8 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
     """Return the system in the units of states, unknown inputs, outputs and time that bring its entries nearest to one.
 
     The logarithms of the non-zero entries are fitted by least squares, so that the result is the same whatever units
-    the plant was written in, up to the rounding of each scale to a power of two, which keeps the scaling exact.
+    the plant was written in, up to the rounding of each scale to a power of two, which keeps the scaling exact. The fit
+    is Huber's: an entry that is a rounding error, far below all others, has no more say than any other.
     """
     n, q, p = len(A), G.shape[1], len(C)
     entries, rows = [], []
@@ -61,10 +62,10 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
     exponents = np.zeros(n + q + p + 1)
     if rows:
         system, logarithms = np.array(rows), np.array(entries)
-        exponents = np.linalg.lstsq(system, -logarithms, rcond=None)[0]
-        sizes = logarithms + system @ exponents
-        telling = sizes > np.max(sizes) + np.log2(_NOISE)
-        exponents = np.linalg.lstsq(system[telling], -logarithms[telling], rcond=None)[0]
+        weights = np.ones(len(rows))
+        for _ in range(_REWEIGHTINGS):
+            exponents = np.linalg.lstsq(weights[:, None] * system, -weights * logarithms, rcond=None)[0]
+            weights = 1.0 / np.sqrt(np.maximum(1.0, abs(logarithms + system @ exponents)))
     scales = np.exp2(np.round(exponents))
     states, inputs, outputs, rate = scales[:n], scales[n : n + q], scales[n + q : -1], float(scales[-1])
     return Balanced(

@@ -143,6 +143,16 @@ def test_the_balanced_system_is_the_same_in_any_units_but_for_powers_of_two():
         assert np.max(abs(np.log2(np.abs(own[seen] / foreign[seen])))) <= 2.0 + 1e-9
 
 
+def test_a_rounding_error_where_a_zero_should_be_does_not_choose_the_units():
+    linear = MODELS["three_tank"].linear_part()
+    soiled = linear.A.copy()
+    soiled[0, 2] = 1e-24
+    clean, other = (balance(A, linear.G, linear.C) for A in (linear.A, soiled))
+    assert clean.rate / other.rate == pytest.approx(1.0, rel=0.51)
+    states = (clean.states / clean.states[0]) / (other.states / other.states[0])
+    assert np.all((states >= 0.5) & (states <= 2.0))
+
+
 def test_infinite_zeros_of_high_relative_degree_are_not_taken_for_finite_ones():
     problem = system_with_zeros(relative_degrees=[3, 3], inputs=1, extra_outputs=1, seed=12)
     assert len(transmission_zeros(problem.linear)) == 0
@@ -211,6 +221,22 @@ def test_a_hidden_pair_of_identical_chains_is_found_though_its_eigenvalues_are_d
     row = check(to_model(linear))["observable"]
     assert not row.passed
     assert "hidden mode -2" in row.failure
+
+
+def test_a_hidden_mode_at_the_end_of_a_chain_of_equal_ones_is_found():
+    """Here the eigenvalue is triple, known to 1e-5, and the PBH matrix is regular at what rounding makes of it."""
+    T = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
+    linear = LinearPart(
+        A=T.T @ np.array([[-2.0, 1.0, 0.0], [0.0, -2.0, 0.0], [1.0, 0.0, -2.0]]) @ T,
+        B=np.zeros((3, 2)),
+        C=np.array([[1.0, 0.0, 0.0]]) @ T,
+        G_f=np.zeros((3, 0)),
+        G_d=T.T @ np.array([[0.0], [1.0], [0.0]]),
+        matched=True,
+    )
+    row = check(to_model(linear))["observable"]
+    assert not row.passed
+    assert "hidden mode -2 1/s" in row.failure
 
 
 def test_an_oscillating_hidden_mode_is_named_once_with_the_states_that_carry_it():
@@ -285,6 +311,13 @@ def test_gamma_that_is_declared_exactly_passes():
 def test_friction_is_steepest_at_rest_however_narrow_the_transition():
     model = one_state_model(lambda x, u, p: [-2.0 * sympy.tanh(x.rate / 1e-5)], lipschitz=1.0)
     assert check(model)["lipschitz"].values["gamma"] == pytest.approx(2e5, rel=1e-9)
+
+
+def test_a_steep_place_is_also_found_near_zero_and_where_another_state_is_large():
+    near_zero = one_state_model(lambda x, u, p: [sympy.tanh((x.rate - 1e-3) / 1e-5)])
+    assert check(near_zero)["lipschitz"].values["gamma"] == pytest.approx(1e5, rel=1e-6)
+    loaded_friction = one_state_model(lambda x, u, p: [x.level * sympy.tanh(x.rate / 1e-6)])
+    assert check(loaded_friction)["lipschitz"].values["gamma"] == pytest.approx(1e7, rel=1e-6)
 
 
 def test_gamma_is_the_spectral_norm_over_all_states_and_channels():
