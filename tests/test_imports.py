@@ -1,0 +1,121 @@
+"""Which module may import which: the way of the data, and what must stay out of an FMU."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "ndob_fmu"
+SLAVES = [ROOT / "fmus" / f"{name}.py" for name in ("slave_base", "plant_slave", "observer_slave")]
+HEAVY = ("scipy", "sympy", "fmpy", "pythonfmu", "matplotlib", "pint")
+
+
+def name_of(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+def imports(path, *, late=True):
+    """Return the full names that a module imports, without those for type checkers; `late`: also inside functions."""
+    found = set()
+
+    def visit(node):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            return
+        if isinstance(node, ast.FunctionDef) and not late:
+            return
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import, which the bundle for FMUs would not rename"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                found.add(whole if whole in MODULES else node.module)
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    visit(ast.parse(path.read_text("utf-8")))
+    return found
+
+
+def within(name, *packages):
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if within(name, "ndob_fmu.runtime")])
+def test_what_runs_inside_an_fmu_imports_numpy_the_standard_library_and_itself(name):
+    for imported in imports(MODULES[name]):
+        top = imported.partition(".")[0]
+        assert within(imported, "ndob_fmu.runtime") or top == "numpy" or top in sys.stdlib_module_names, imported
+
+
+@pytest.mark.parametrize("path", SLAVES, ids=lambda path: path.stem)
+def test_a_slave_imports_the_runtime_and_pythonfmu_besides(path):
+    for imported in imports(path):
+        top = imported.partition(".")[0]
+        allowed = within(imported, "ndob_fmu.runtime", "fmus", "pythonfmu", "numpy")
+        assert allowed or top in sys.stdlib_module_names, imported
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if within(name, "ndob_fmu.cosim")])
+def test_the_master_sees_fmus_only(name):
+    """It knows neither the model nor the observer, so that it couples any FMUs."""
+    own = {imported for imported in imports(MODULES[name]) if within(imported, "ndob_fmu")}
+    allowed = ("ndob_fmu.cosim", "ndob_fmu.errors", "ndob_fmu.results", "ndob_fmu.runtime.errors")
+    assert [imported for imported in own if not within(imported, *allowed)] == []
+
+
+def test_the_model_knows_nothing_of_what_is_made_from_it():
+    later = (
+        "ndob_fmu.assumptions",
+        "ndob_fmu.design",
+        "ndob_fmu.fmu",
+        "ndob_fmu.cosim",
+        "ndob_fmu.demo",
+        "ndob_fmu.plots",
+    )
+    for name in ("ndob_fmu.model", "ndob_fmu.emit", "ndob_fmu.loading"):
+        assert [imported for imported in imports(MODULES[name]) if within(imported, *later)] == []
+    for name in ("ndob_fmu.assumptions", "ndob_fmu.design"):
+        assert [imported for imported in imports(MODULES[name]) if within(imported, *later[2:])] == []
+
+
+def test_only_the_program_itself_imports_the_command_line():
+    users = [name for name, path in MODULES.items() if "ndob_fmu.cli" in imports(path)]
+    assert users == ["ndob_fmu.__main__"]
+
+
+def test_there_is_no_import_cycle():
+    graph = {
+        name: {imported for imported in imports(path, late=False) if imported in MODULES and imported != name}
+        for name, path in MODULES.items()
+    }
+    assert len(list(TopologicalSorter(graph).static_order())) == len(
+        MODULES
+    )  # raises CycleError, which names the cycle
+
+
+@pytest.mark.parametrize(
+    "statement", ["import ndob_fmu", "import ndob_fmu.runtime.paper_observer, ndob_fmu.runtime.plant"]
+)
+def test_the_root_and_the_core_load_none_of_the_heavy_packages(statement):
+    program = f"import sys; {statement}; print(sorted(set({HEAVY!r}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout == "[]\n"
+
+
+def test_everything_that_the_root_promises_is_there():
+    import ndob_fmu
+
+    assert [name for name in ndob_fmu.__all__ if getattr(ndob_fmu, name, None) is None] == []
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        ndob_fmu.nonsense  # noqa: B018 # the access is what is tested
