@@ -42,9 +42,9 @@ def box(model: Model) -> dict[str, float]:
 def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -> Slope:
     """Search the box for the largest spectral norm of ∂f/∂x: samples with a fixed seed, then climbs from the best.
 
-    The samples favour small values, where friction and saturation are steepest. The result is a lower bound of γ: a peak
-    that is narrow and far from zero can be missed, and so is a jump between two branches of a Piecewise, which has no
-    slope. Raises ModelError for an unknown parameter.
+    The samples favour small values, where friction and saturation are steepest. The result is a lower bound of γ: a
+    peak that is narrow and far from zero can be missed, and so is a jump between two branches of a Piecewise, which has
+    no slope. Raises ModelError for an unknown parameter.
     """
     jacobian = model.jacobian
     if jacobian.has(sympy.DiracDelta, sympy.Derivative, sympy.Subs):
