@@ -6,24 +6,25 @@ from collections.abc import Iterable
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.interface import Variable, observer_variables
-from ndob_fmu.runtime.paper_observer import Estimate, ObserverState, paper_observer
+from ndob_fmu.runtime.interface import METHODS, Variable, for_each_disturbance, observer_variables
+from ndob_fmu.runtime.observer import Estimate
+from ndob_fmu.runtime.paper_observer import PaperObserver, paper_observer
+from ndob_fmu.runtime.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.schedule import PiSchedule
 
 
 class ObserverSlave(Slave):
-    """Designs the observer from the parameters when initialization ends, then steps it."""
+    """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
     def declare(self) -> tuple[Variable, ...]:
         """Return the observer's variables."""
         return observer_variables(self.equations)
 
     def start(self, start_time: float) -> None:
-        """Design the gains and start from the given estimate of the state."""
-        eq = self.equations
-        schedule = PiSchedule(*self.values(["pi_start", "pi_end", "pi_ramp_time"]))
-        self.observer = paper_observer(eq, self.values(eq.parameters), schedule, alpha=self.value("alpha"))
-        self.state: ObserverState = self.observer.init(self.values(f"{name}_hat_start" for name in eq.states))
+        """Make the observer and start it from the given estimate of the state."""
+        make = self._paper if self.value("method") == METHODS["paper"] else self._sampled
+        self.observer: Any = make()
+        self.state: Any = self.observer.init(self._for_states("hat_start"))
 
     def show(self) -> Iterable[Any]:
         """Return the estimate that the first sample alone gives."""
@@ -32,11 +33,47 @@ class ObserverSlave(Slave):
     def advance(self, t: float, step_size: float) -> Iterable[Any]:
         """Take in the sample at the start of the step and predict its end."""
         eq = self.equations
-        self.state, estimate = self.observer.step(
-            self.state, self.values(eq.inputs), self.values(eq.outputs), step_size
-        )
+        u, y = self.values(eq.inputs), self.values(eq.outputs)
+        self.state, estimate = self.observer.step(self.state, u, y, step_size)
         return _outputs(estimate)
+
+    def _paper(self) -> PaperObserver:
+        return paper_observer(
+            self.equations,
+            self.values(self.equations.parameters),
+            PiSchedule(*self.values(["pi_start", "pi_end", "pi_ramp_time"])),
+            alpha=self.value("alpha"),
+            noise_std=self.value("noise_std"),
+            disturbance_bound=self._for_disturbances("disturbance_bound"),
+        )
+
+    def _sampled(self) -> SampledObserver:
+        return sampled_observer(
+            self.equations,
+            self.values(self.equations.parameters),
+            order=self.value("disturbance_order"),
+            noise_std=self.value("noise_std"),
+            disturbance_bound=self._for_disturbances("disturbance_bound"),
+            disturbance_rate=self._for_disturbances("disturbance_rate"),
+            x_hat=self._for_states("hat_start"),
+            x_std=self._for_states("hat_start_std"),
+            alpha=self.value("alpha"),
+            pi=self.value("pi_end"),
+        )
+
+    def _for_states(self, suffix: str) -> list[float]:
+        return self.values(f"{name}_{suffix}" for name in self.equations.states)
+
+    def _for_disturbances(self, name: str) -> list[float]:
+        return self.values(for_each_disturbance(name, self.equations.disturbances).values())
 
 
 def _outputs(estimate: Estimate) -> list[Any]:
-    return [*estimate.x_hat, *estimate.d_hat, *estimate.d_at_sample, *estimate.residual, estimate.valid]
+    return [
+        *estimate.x_hat,
+        *estimate.d_hat,
+        *estimate.d_at_sample,
+        *estimate.d_std,
+        *estimate.residual,
+        estimate.valid,
+    ]

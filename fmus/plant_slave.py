@@ -10,7 +10,7 @@ from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
 from ndob_fmu.runtime.disturbance import Generator
-from ndob_fmu.runtime.interface import Variable, generator_prefixes, plant_variables
+from ndob_fmu.runtime.interface import Variable, for_each_disturbance, plant_variables
 from ndob_fmu.runtime.plant import Plant, PlantState
 
 
@@ -27,7 +27,7 @@ class PlantSlave(Slave):
         parameters = self.values(eq.parameters)
         generators = [
             Generator(*self.values(f"{prefix}.{field}" for field in ("kind", "amplitude", "frequency", "start_time")))
-            for prefix in generator_prefixes(eq.disturbances).values()
+            for prefix in for_each_disturbance("disturbance", eq.disturbances).values()
         ]
         self.plant = Plant(equations=eq, parameters=parameters, generators=generators)
         self.state: PlantState = self.plant.init(self.values(f"{name}_start" for name in eq.states), start_time)

@@ -26,7 +26,7 @@ from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.errors import NdobError
 from ndob_fmu.runtime.interface import Variable
 
-_TYPES = {"Real": Real, "Boolean": Boolean, "Enumeration": Integer}
+_TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer}
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type information
@@ -114,7 +114,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         return [bool(value) for value in self._get(vrs)]
 
     def get_integer(self, vrs: list[int]) -> list[int]:
-        """Return the values of Enumeration variables."""
+        """Return the values of Integer and Enumeration variables."""
         return [int(value) for value in self._get(vrs)]
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
@@ -126,7 +126,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._set(vrs, values)
 
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        """Set Enumeration variables."""
+        """Set Integer and Enumeration variables."""
         self._set(vrs, values)
 
     # -- inside

@@ -35,7 +35,9 @@ class Model:
     G_d (n,q2) hold numbers or SymPy expressions in the `parameters` (name: default value). `f(x, u, p)` returns q1
     SymPy expressions; x, u and p carry the symbols as attributes (`x.link_angle`). Without `G_f`, or with G_f equal to
     G_d, the system is matched (eq. 1). `units` and `descriptions` go by name. `lipschitz` is γ of eq. (3);
-    `disturbance_bound` is D₀; `x0` and `xhat0` are the start values of the plant and of its estimate.
+    `disturbance_bound` is D₀, one number or one for each disturbance; `x0` and `xhat0` are the start values of the
+    plant and of its estimate, `xhat0_std` the standard deviation of the latter's error (by default what they differ by,
+    or 1 where they do not). `observer`, `disturbance` and `experiment` are start values of the FMUs.
 
     Raises ModelError where names, shapes or symbols contradict each other.
     """
@@ -56,9 +58,10 @@ class Model:
     descriptions: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
     lipschitz: float | None = None
-    disturbance_bound: float | None = None
+    disturbance_bound: float | Sequence[float] = 1.0
     x0: Sequence[float] | None = None
     xhat0: Sequence[float] | None = None
+    xhat0_std: Sequence[float] | None = None
     observer: ObserverDefaults = field(default_factory=ObserverDefaults)
     disturbance: SignalDefaults = field(default_factory=SignalDefaults)
     experiment: Experiment = field(default_factory=Experiment)
@@ -78,8 +81,12 @@ class Model:
         self._set("G_f", self._matrix("G_f", self.G_f, (n, columns), f"f returns {columns} expressions"))
         self._set("f_expressions", expressions)
         for vector in ("x0", "xhat0"):
-            self._set(vector, self._vector(vector, getattr(self, vector), n))
-        self._check_bounds()
+            self._set(vector, self._vector(vector, getattr(self, vector), (0.0,) * n))
+        differences = tuple(abs(a - b) or 1.0 for a, b in zip(self.x0 or (), self.xhat0 or (), strict=True))
+        self._set("xhat0_std", self._vector("xhat0_std", self.xhat0_std, differences, positive=True))
+        bound = self._for_each_disturbance(self.disturbance_bound)
+        self._set("disturbance_bound", self._vector("disturbance_bound", bound, (1.0,) * q, positive=True))
+        self._check_lipschitz()
         self._check_output_names()
 
     # -- what follows from the fields
@@ -103,6 +110,13 @@ class Model:
             len(self.states),
             lambda i, j: sympy.diff(self.f_expressions[i], self.symbols[self.states[j]]),
         )
+
+    @property
+    def disturbance_rate(self) -> tuple[float, ...]:
+        """Bound (q2,) of |d^{(r)}|, of |ḋ| for r = 0: the observer's default, or that of 1 Hz sines at the bound."""
+        rate, order = self.observer.disturbance_rate, max(self.observer.disturbance_order, 1)
+        sines = tuple(bound * (2.0 * math.pi) ** order for bound in tuple(self.disturbance_bound))  # type: ignore[arg-type]
+        return self._vector("observer.disturbance_rate", self._for_each_disturbance(rate), sines)
 
     @cached_property
     def equations(self) -> Equations:
@@ -257,19 +271,25 @@ class Model:
                 likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
             ) from error
 
-    def _vector(self, label: str, value: Sequence[float] | None, n: int) -> tuple[float, ...]:
+    def _vector(
+        self, label: str, value: Any, default: tuple[float, ...], *, positive: bool = False
+    ) -> tuple[float, ...]:
         if value is None:
-            return (0.0,) * n
+            return default
         numbers = tuple(value) if isinstance(value, Iterable) else ()
-        if len(numbers) != n or not all(_is_finite_number(v) for v in numbers):
-            raise ModelError.report(f"{self.name}.{label}", expected=f"{n} finite numbers", received=repr(value))
+        usable = all(_is_finite_number(v) and (v > 0 or not positive) for v in numbers)
+        if len(numbers) != len(default) or not usable:
+            expected = f"{len(default)} finite numbers" + (" > 0" if positive else "")
+            raise ModelError.report(f"{self.name}.{label}", expected=expected, received=repr(value))
         return tuple(float(v) for v in numbers)
 
-    def _check_bounds(self) -> None:
-        for label in ("lipschitz", "disturbance_bound"):
-            value = getattr(self, label)
-            if value is not None and not (_is_finite_number(value) and value >= 0):
-                raise ModelError.report(f"{self.name}.{label}", expected="a finite number ≥ 0", received=repr(value))
+    def _for_each_disturbance(self, value: Any) -> Any:
+        return [value] * len(self.disturbances) if _is_finite_number(value) else value
+
+    def _check_lipschitz(self) -> None:
+        gamma = self.lipschitz
+        if gamma is not None and not (_is_finite_number(gamma) and gamma >= 0):
+            raise ModelError.report(f"{self.name}.lipschitz", expected="a finite number ≥ 0", received=repr(gamma))
 
     def _check_output_names(self) -> None:
         for row, name in enumerate(self.outputs):

@@ -63,7 +63,7 @@ def _complete_variable(element: ET.Element, variable: Variable) -> None:
         ("nominal", variable.nominal),
     ):
         if value is not None:
-            typed.set(attribute, value if isinstance(value, str) else repr(float(value)))
+            typed.set(attribute, value if isinstance(value, str) else repr(value))
 
 
 def _list_unknowns(structure: ET.Element, variables: Sequence[Variable]) -> None:

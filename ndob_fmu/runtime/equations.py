@@ -17,8 +17,18 @@ Vector = Sequence[float]
 
 @dataclass(frozen=True)
 class ObserverDefaults:
-    """Start values of the observer FMU's tuning: α (1/s), and π from `pi_start` to `pi_end` in `pi_ramp_time` s."""
+    """Start values of the observer FMU's tuning.
 
+    method: 1 = the paper's observer, 2 = sampled-data design. disturbance_order r = 0 … 3; noise_std: of a sample, in
+    the outputs' units, 0 for none; disturbance_rate (q2,): bound of |d^{(r)}| in units of d per s^r, None for that of
+    a sine of 1 Hz at the disturbance's bound, 0 to leave the pace to pi_end. α in 1/s; π goes from `pi_start` to
+    `pi_end` in `pi_ramp_time` s.
+    """
+
+    method: int = 2
+    disturbance_order: int = 2
+    noise_std: float = 1e-4
+    disturbance_rate: float | Sequence[float] | None = None
     alpha: float = 1.0
     pi_start: float = 1.0
     pi_end: float = 1e8
@@ -48,7 +58,8 @@ class Equations:
     """ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x, with everything a component needs to name and start it.
 
     matrices(p) returns A, B, C, G_f, G_d as nested tuples; nonlinearity(x, u, p) f as a tuple of q1 numbers;
-    derivatives(x, u, d, p) ẋ as a tuple of n. `p` holds the parameters in the order of `parameters`.
+    derivatives(x, u, d, p) ẋ as a tuple of n. `p` holds the parameters in the order of `parameters`. `f_states` are the
+    indices of the states that f depends on, `lipschitz` its constant γ.
     """
 
     name: str
@@ -62,7 +73,11 @@ class Equations:
     descriptions: Mapping[str, str]
     x0: tuple[float, ...]
     xhat0: tuple[float, ...]
+    xhat0_std: tuple[float, ...]
+    disturbance_bound: tuple[float, ...]
+    disturbance_rate: tuple[float, ...]
     lipschitz: float
+    f_states: tuple[int, ...]
     matched: bool
     observer: ObserverDefaults
     disturbance: SignalDefaults

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from ndob_fmu.runtime.disturbance import KINDS
 from ndob_fmu.runtime.equations import Equations
 
-METHODS = {"paper": 1}
-_OBSERVER_PARAMETERS = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time")
-# Names of the contract that later methods use; a model that takes one now could not be built then.
-_RESERVED = (*_OBSERVER_PARAMETERS, "disturbance_order", "noise_std", "disturbance_bound", "disturbance_rate")
+METHODS = {"paper": 1, "sampled_data": 2}
+_TUNING = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time", "disturbance_order", "noise_std")
+_PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
 
 
 @dataclass(frozen=True)
@@ -44,17 +43,17 @@ class Variable:
 
 def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
     """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them."""
-    derived = {f"{state}{suffix}" for state in states for suffix in ("_hat", "_start", "_hat_start")}
+    derived = {f"{s}{suffix}" for s in states for suffix in ("_hat", "_start", "_hat_start", "_hat_start_std")}
     derived |= {f"{output}_residual" for output in outputs}
     derived |= {f"{d}{suffix}" for d in disturbances for suffix in ("_hat", "_at_sample", "_std", "_total")}
-    return derived | set(_RESERVED) | {"time", "valid", "disturbance"}
+    return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "disturbance"}
 
 
-def generator_prefixes(disturbances: tuple[str, ...]) -> dict[str, str]:
-    """Return the prefix of each disturbance's generator parameters: `disturbance` if it is the only one."""
+def for_each_disturbance(name: str, disturbances: tuple[str, ...]) -> dict[str, str]:
+    """Return each disturbance's own name for `name`: just that where there is one disturbance, else `name`.`d`."""
     if len(disturbances) == 1:
-        return {disturbances[0]: "disturbance"}
-    return {name: f"disturbance.{name}" for name in disturbances}
+        return {disturbances[0]: name}
+    return {d: f"{name}.{d}" for d in disturbances}
 
 
 def plant_variables(eq: Equations) -> tuple[Variable, ...]:
@@ -63,169 +62,178 @@ def plant_variables(eq: Equations) -> tuple[Variable, ...]:
     inputs += [_signal(eq, name, "input", 0.0, "Disturbance, added to the generator's") for name in eq.disturbances]
     outputs = [_signal(eq, name, "output", None, "Measured output") for name in eq.outputs]
     outputs += [_signal(eq, name, "output", None, "State") for name in eq.states if name not in eq.outputs]
-    totals = [
-        Variable(
-            name=f"{name}_total",
-            causality="output",
-            description=f"Generator plus input {name}, at the end of the step",
-            unit=eq.units.get(name, ""),
-            depends_on=(name,),
-        )
+    outputs += [
+        _output(eq, f"{name}_total", name, f"Generator plus input {name}, at the end of the step", (name,))
         for name in eq.disturbances
     ]
     starts = [
-        Variable(
-            name=f"{name}_start",
-            causality="parameter",
-            description=f"Start value of {name}",
-            unit=eq.units.get(name, ""),
-            start=value,
-        )
+        _parameter(f"{name}_start", value, f"Start value of {name}", unit=_unit(eq, name))
         for name, value in zip(eq.states, eq.x0, strict=True)
     ]
     generators = [variable for name in eq.disturbances for variable in _generator(eq, name)]
-    return (*inputs, *outputs, *totals, *_model_parameters(eq), *starts, *generators)
+    return (*inputs, *outputs, *_model_parameters(eq), *starts, *generators)
 
 
 def observer_variables(eq: Equations) -> tuple[Variable, ...]:
     """Return the variables of `<Name>Observer`, its outputs in the order of `Estimate`'s fields."""
     inputs = [_signal(eq, name, "input", 0.0, "Input of the plant") for name in eq.inputs]
     inputs += [_signal(eq, name, "input", 0.0, "Measured output of the plant") for name in eq.outputs]
-
-    def estimate(name: str, of: str, text: str, depends: tuple[str, ...] = ()) -> Variable:
-        unit = eq.units.get(of, "")
-        return Variable(name=name, causality="output", description=text, unit=unit, depends_on=depends)
-
-    outputs = [estimate(f"{s}_hat", s, f"Estimate of {s} for the end of the step") for s in eq.states]
+    outputs = [_output(eq, f"{s}_hat", s, f"Estimate of {s} for the end of the step") for s in eq.states]
+    for suffix, text in (
+        ("hat", "Estimate of {} for the end of the step"),
+        ("at_sample", "Estimate of {} for the sample that the step began with"),
+        ("std", "One-sigma error bar of {}_hat"),
+    ):
+        outputs += [_output(eq, f"{d}_{suffix}", d, text.format(d), eq.outputs) for d in eq.disturbances]
     outputs += [
-        estimate(f"{d}_hat", d, f"Estimate of {d} for the end of the step", eq.outputs) for d in eq.disturbances
-    ]
-    outputs += [
-        estimate(f"{d}_at_sample", d, f"Estimate of {d} for the sample that the step began with", eq.outputs)
-        for d in eq.disturbances
-    ]
-    outputs += [
-        estimate(f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,)) for y in eq.outputs
+        _output(eq, f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,))
+        for y in eq.outputs
     ]
     outputs.append(
         Variable(
             name="valid",
             causality="output",
             type="Boolean",
-            description="False while the estimate coasts because a sample was not a finite number",
+            description="False while the estimate coasts because a sample could not be used",
             depends_on=eq.outputs,
         )
     )
     starts = [
-        Variable(
-            name=f"{name}_hat_start",
-            causality="parameter",
-            description=f"Start value of the estimate of {name}",
-            unit=eq.units.get(name, ""),
-            start=value,
-        )
+        _parameter(f"{name}_hat_start", value, f"Start value of the estimate of {name}", unit=_unit(eq, name))
         for name, value in zip(eq.states, eq.xhat0, strict=True)
+    ]
+    starts += [
+        _parameter(
+            f"{name}_hat_start_std", value, f"Standard deviation of {name}_hat_start", unit=_unit(eq, name), minimum=0.0
+        )
+        for name, value in zip(eq.states, eq.xhat0_std, strict=True)
     ]
     return (*inputs, *outputs, *_model_parameters(eq), *starts, *_tuning(eq))
 
 
 def _tuning(eq: Equations) -> list[Variable]:
     o = eq.observer
+    bounds, rates = (for_each_disturbance(name, eq.disturbances) for name in _PER_DISTURBANCE)
     return [
-        Variable(
-            name="method",
-            causality="parameter",
-            type="Enumeration",
+        _parameter(
+            "method",
+            o.method,
+            "1: the paper's observer, eqs. 22-24, integrated inside the step; 2: sampled-data design",
+            type_="Enumeration",
             items=METHODS,
-            start=METHODS["paper"],
-            description="How the estimate is made: 1 = the paper's observer, eqs. 22-24, integrated inside the step",
         ),
-        Variable(
-            name="alpha",
-            causality="parameter",
-            start=o.alpha,
+        _parameter(
+            "disturbance_order",
+            o.disturbance_order,
+            "Method 2: r, the number of derivatives of the disturbance that the observer carries",
+            type_="Integer",
+            minimum=0,
+            maximum=3,
+        ),
+        _parameter(
+            "noise_std",
+            o.noise_std,
+            "Standard deviation of the noise in a sample of each output, in its unit; 0: as fast as rounding lets",
+            minimum=0.0,
+        ),
+        *(
+            _parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), minimum=0.0)
+            for d, value in zip(eq.disturbances, eq.disturbance_bound, strict=True)
+        ),
+        *(
+            _parameter(
+                rates[d],
+                value,
+                f"Bound of the r-th derivative of {d} (of the first, for r = 0), per s^r; 0: pi_end sets the pace",
+                minimum=0.0,
+            )
+            for d, value in zip(eq.disturbances, eq.disturbance_rate, strict=True)
+        ),
+        _parameter(
+            "alpha",
+            o.alpha,
+            "Prescribed stability; below the distance of the transmission zeros from the imaginary axis",
             unit="1/s",
             minimum=0.0,
-            description="Prescribed stability; below the distance of the transmission zeros from the imaginary axis",
         ),
-        Variable(
-            name="pi_start",
-            causality="parameter",
-            start=o.pi_start,
-            minimum=0.0,
-            nominal=o.pi_start,
-            description="Design parameter pi of the Riccati equation at the start",
-        ),
-        Variable(
-            name="pi_end",
-            causality="parameter",
-            start=o.pi_end,
-            minimum=0.0,
-            nominal=o.pi_end,
-            description="Design parameter pi of the Riccati equation after the ramp",
-        ),
-        Variable(
-            name="pi_ramp_time",
-            causality="parameter",
-            start=o.pi_ramp_time,
+        _parameter("pi_start", o.pi_start, "Method 1: pi of the Riccati equation at the start", minimum=0.0),
+        _parameter("pi_end", o.pi_end, "Design parameter pi; of method 1 after the ramp", minimum=0.0),
+        _parameter(
+            "pi_ramp_time",
+            o.pi_ramp_time,
+            "Method 1: time in which pi rises geometrically to pi_end; 0 starts there and peaks",
             unit="s",
             minimum=0.0,
-            description="Time in which pi rises geometrically from pi_start to pi_end; 0 starts at pi_end and peaks",
         ),
     ]
 
 
 def _generator(eq: Equations, name: str) -> list[Variable]:
-    prefix, signal, unit = generator_prefixes(eq.disturbances)[name], eq.disturbance, eq.units.get(name, "")
+    prefix, signal = for_each_disturbance("disturbance", eq.disturbances)[name], eq.disturbance
     return [
-        Variable(
-            name=f"{prefix}.kind",
-            causality="parameter",
-            type="Enumeration",
+        _parameter(
+            f"{prefix}.kind",
+            KINDS[signal.kind],
+            f"Signal that the built-in generator adds to {name}",
+            type_="Enumeration",
             items=KINDS,
-            start=KINDS[signal.kind],
-            description=f"Signal that the built-in generator adds to {name}",
         ),
-        Variable(
-            name=f"{prefix}.amplitude",
-            causality="parameter",
-            start=signal.amplitude,
-            unit=unit,
-            description="Amplitude; of a ramp the rise per second",
+        _parameter(
+            f"{prefix}.amplitude", signal.amplitude, "Amplitude; of a ramp the rise per second", unit=_unit(eq, name)
         ),
-        Variable(
-            name=f"{prefix}.frequency",
-            causality="parameter",
-            start=signal.frequency,
+        _parameter(
+            f"{prefix}.frequency",
+            signal.frequency,
+            "Frequency of the sine; end frequency of the chirp",
             unit="Hz",
             minimum=0.0,
-            description="Frequency of the sine; end frequency of the chirp",
         ),
-        Variable(
-            name=f"{prefix}.start_time",
-            causality="parameter",
-            start=signal.start_time,
-            unit="s",
-            description="Time at which ramp, sine, step or chirp begins",
+        _parameter(
+            f"{prefix}.start_time", signal.start_time, "Time at which ramp, sine, step or chirp begins", unit="s"
         ),
     ]
-
-
-def _signal(eq: Equations, name: str, causality: str, start: float | None, role: str) -> Variable:
-    text = eq.descriptions.get(name, name.replace("_", " "))
-    return Variable(
-        name=name, causality=causality, description=f"{role}: {text}", unit=eq.units.get(name, ""), start=start
-    )
 
 
 def _model_parameters(eq: Equations) -> list[Variable]:
     return [
-        Variable(
-            name=name,
-            causality="parameter",
-            description=eq.descriptions.get(name, name.replace("_", " ")),
-            unit=eq.units.get(name, ""),
-            start=value,
-        )
+        _parameter(name, value, eq.descriptions.get(name, name.replace("_", " ")), unit=_unit(eq, name))
         for name, value in eq.parameters.items()
     ]
+
+
+def _parameter(
+    name: str,
+    start: float,
+    description: str,
+    *,
+    type_: str = "Real",
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    items: Mapping[str, int] | None = None,
+) -> Variable:
+    return Variable(
+        name=name,
+        causality="parameter",
+        description=description,
+        type=type_,
+        start=start,
+        unit=unit,
+        minimum=minimum,
+        maximum=maximum,
+        nominal=abs(start) if type_ == "Real" and abs(start) >= 1e3 else None,
+        items=items,
+    )
+
+
+def _output(eq: Equations, name: str, of: str, description: str, depends_on: tuple[str, ...] = ()) -> Variable:
+    return Variable(name=name, causality="output", description=description, unit=_unit(eq, of), depends_on=depends_on)
+
+
+def _signal(eq: Equations, name: str, causality: str, start: float | None, role: str) -> Variable:
+    text = eq.descriptions.get(name, name.replace("_", " "))
+    return Variable(name=name, causality=causality, description=f"{role}: {text}", unit=_unit(eq, name), start=start)
+
+
+def _unit(eq: Equations, name: str) -> str:
+    return eq.units.get(name, "")

@@ -7,11 +7,9 @@ Over a step y(t) is the polynomial of `hold`, u is held, and π(t) runs along it
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -19,10 +17,10 @@ from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.gains import LinearPart, orthogonal_factor
 from ndob_fmu.runtime.hold import History, empty_history
+from ndob_fmu.runtime.memo import Latest
+from ndob_fmu.runtime.observer import Estimate
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.schedule import GainTable, PiSchedule, gain_table
-
-T = TypeVar("T")
 
 # The explicit part of the integration stays accurate while f and ln π change this little over one substep.
 _LARGEST_LIPSCHITZ_STEP = 0.5
@@ -41,36 +39,6 @@ class ObserverState:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """What a step publishes.
-
-    x_hat (n,) and d_hat (q2,): predictions for the end of the step, x̂(t+H) and d̂(t+H);
-    d_at_sample (q2,) and residual (p,): d̂(t) and y − C x̂ for the sample that the step began with;
-    valid: False where that sample was not finite, so that the estimate coasts and the residual is 0.
-    """
-
-    x_hat: Array
-    d_hat: Array
-    d_at_sample: Array
-    residual: Array
-    valid: bool
-
-
-class _Latest(Generic[T]):
-    """The last result of a function and the arguments that it holds for."""
-
-    def __init__(self) -> None:
-        self._key: tuple[float, ...] | None = None
-        self._value: T
-
-    def __call__(self, key: tuple[float, ...], compute: Callable[[], T]) -> T:
-        if key != self._key:
-            self._value = compute()
-            self._key = key
-        return self._value
-
-
-@dataclass(frozen=True)
 class PaperObserver:
     """init(x̂₀) → state; step(state, u, y, H) → (state, estimate). Holds no hidden state."""
 
@@ -80,9 +48,12 @@ class PaperObserver:
     schedule: PiSchedule
     table: GainTable = field(repr=False)
     hold_degree: int = 2
-    # Both stay the same once π does. They remember a result, not the past: a step's outcome never depends on them.
-    _coefficients: _Latest[ExponentialStep] = field(default_factory=lambda: _Latest(), repr=False, compare=False)
-    _estimate_gain: _Latest[Array] = field(default_factory=lambda: _Latest(), repr=False, compare=False)
+    noise_std: float = 0.0
+    disturbance_bound: Vector = ()
+    # These stay the same once π does. They remember a result, not the past: a step's outcome never depends on them.
+    _coefficients: Latest[ExponentialStep] = field(default_factory=Latest, repr=False, compare=False)
+    _estimate_gain: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
+    _d_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
 
     def init(self, x_hat: Vector) -> ObserverState:
         """Return the state that starts from x̂₀ (n,)."""
@@ -100,7 +71,14 @@ class PaperObserver:
         valid = bool(np.all(np.isfinite(sample)))
         residual = sample - self.linear.C @ state.x_hat if valid else np.zeros(len(sample))
         d_hat = self.linear.selector @ (self._unknown_inputs(state.elapsed, residual) if valid else state.w_hat)
-        return Estimate(x_hat=state.x_hat, d_hat=d_hat, d_at_sample=d_hat, residual=residual, valid=valid)
+        return Estimate(
+            x_hat=state.x_hat,
+            d_hat=d_hat,
+            d_at_sample=d_hat,
+            d_std=self._error_bar(state.elapsed),
+            residual=residual,
+            valid=valid,
+        )
 
     def step(self, state: ObserverState, u: Vector, y: Vector, H: float) -> tuple[ObserverState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
@@ -124,7 +102,7 @@ class PaperObserver:
         if start.valid:
             w_hat = self._unknown_inputs(elapsed, history.at(H) - self.linear.C @ x_hat)
         after = ObserverState(x_hat=x_hat, elapsed=elapsed, history=history.aged(H), u=inputs, w_hat=w_hat)
-        return after, replace(start, x_hat=x_hat, d_hat=self.linear.selector @ w_hat)
+        return after, replace(start, x_hat=x_hat, d_hat=self.linear.selector @ w_hat, d_std=self._error_bar(elapsed))
 
     @cached_property
     def fastest_f(self) -> float:
@@ -137,11 +115,26 @@ class PaperObserver:
 
     def _unknown_inputs(self, t: float, output_error: Array) -> Array:
         """Return ŵ (q,), eqs. (6) and (23): f(x) − f(x̂) and d where they enter apart, their sum where matched."""
-        log_pi = self.schedule.log_pi(t)
-        gain = self._estimate_gain(
+        return self._output_to_w(self.schedule.log_pi(t)) @ output_error
+
+    def _output_to_w(self, log_pi: float) -> Array:
+        return self._estimate_gain(
             (log_pi,), lambda: np.exp(0.5 * log_pi) * orthogonal_factor(self.linear, self.table.gain(log_pi))
         )
-        return gain @ output_error
+
+    def _error_bar(self, t: float) -> Array:
+        """Return the noise of a sample times √π, and besides the error that W leaves of a constant |d| = D₀, (q2,)."""
+        log_pi = self.schedule.log_pi(t)
+
+        def compute() -> Array:
+            linear, L = self.linear, self.table.gain(log_pi)
+            gain = linear.selector @ self._output_to_w(log_pi)
+            constant = gain @ linear.C @ np.linalg.solve(L @ linear.C - linear.A, linear.G_d)
+            bound = np.array(self.disturbance_bound or [0.0] * len(constant))
+            noise = np.linalg.norm(gain, axis=1) * self.noise_std
+            return np.asarray(np.hypot(noise, np.abs(constant - np.eye(len(constant))) @ bound))
+
+        return self._d_std((log_pi,), compute)
 
     def _substep(self, state: ObserverState, x_hat: Array, s: float, h: float, *, coasting: bool) -> Array:
         """Return x̂ at s + h after the sample. The gain at the middle is exact; its change is part of N."""
@@ -185,9 +178,20 @@ class PaperObserver:
 
 
 def paper_observer(
-    equations: Equations, parameters: Vector, schedule: PiSchedule, *, alpha: float, hold_degree: int = 2
+    equations: Equations,
+    parameters: Vector,
+    schedule: PiSchedule,
+    *,
+    alpha: float,
+    hold_degree: int = 2,
+    noise_std: float = 0.0,
+    disturbance_bound: Vector = (),
 ) -> PaperObserver:
-    """Design the observer for the given parameter values. Raises DesignError where the gains cannot be trusted."""
+    """Design the observer for the given parameter values.
+
+    `noise_std` of a sample and `disturbance_bound` D₀ (q2,) go into the error bar only. Raises DesignError where the
+    gains cannot be trusted.
+    """
     linear = equations.linear_part(parameters)
     return PaperObserver(
         equations=equations,
@@ -196,4 +200,6 @@ def paper_observer(
         schedule=schedule,
         table=gain_table(linear, schedule, alpha=alpha),
         hold_degree=hold_degree,
+        noise_std=noise_std,
+        disturbance_bound=disturbance_bound,
     )

@@ -1,0 +1,26 @@
+"""What the observers of both methods have in common: the estimate that a step publishes, and how samples are judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ndob_fmu.runtime.riccati import Array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a step publishes.
+
+    x_hat (n,) and d_hat (q2,): predictions for the end of the step, x̂(t+H) and d̂(t+H);
+    d_at_sample (q2,) and residual (p,): d̂(t) and y − C x̂ for the sample that the step began with;
+    d_std (q2,): one-sigma error bar of d_hat;
+    valid: False where that sample could not be used, so that the estimate coasts; the residual of a sample that is not
+    finite is 0.
+    """
+
+    x_hat: Array
+    d_hat: Array
+    d_at_sample: Array
+    d_std: Array
+    residual: Array
+    valid: bool

@@ -1,0 +1,291 @@
+"""The everyday observer: a sampled-data design at whatever step the host takes, known only when it takes it.
+
+    update    e = y − C ξ̂⁻,   ξ̂ = ξ̂⁻ + K e                       d̂(t) = δ̂₁       (r = 0: M_H S_∞ S⁻¹ e)
+    predict   x̂' = A x̂ + B u + G_f f(x̂, u) + G_d d̂(t),   d̂⁽ʳ⁾ = 0,   from t to t + H
+
+K comes from the covariance recursion, started from an honest prior, and is frozen once it has come to rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import factorial
+
+import numpy as np
+
+from ndob_fmu.runtime.augmented import Augmented, augment
+from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.errors import DesignError
+from ndob_fmu.runtime.integrate import integrate
+from ndob_fmu.runtime.kalman import gain_change, predict, update
+from ndob_fmu.runtime.memo import Latest
+from ndob_fmu.runtime.observer import Estimate
+from ndob_fmu.runtime.riccati import Array
+from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
+from ndob_fmu.runtime.tuning import Knowledge, from_pi, tuned_intensities
+
+ORDERS = (0, 1, 2, 3)
+# The intensities are tuned anew where the step differs by more than this from the one they were tuned for.
+_SIMILAR_STEP = 0.1
+_AT_REST = 1e-7
+# A sample is refused where it lies further from its prediction than this many standard deviations and what a jump of d
+# by 2 D₀ could do in a step. After so many refusals in a row it is the estimate that must be wrong: it starts anew.
+_GATE = 6.0
+_MOST_REFUSALS = 10
+# Steps per state after a start in which the error of f counts for more than the stationary design has in it.
+_START_UP = 3
+
+
+@dataclass(frozen=True)
+class SampledState:
+    """All that the observer remembers, as of just before the next sample.
+
+    xi_hat (N,): ξ̂⁻; factor (N,N): of its covariance; d_hat and d_std (q2,); at_rest: whether the gain is frozen;
+    tuned_at: the step (s) that the intensities were tuned for, 0 before the first one; refused: samples refused in a
+    row; age: steps since the start, as far as they count; u (m,): the last finite input.
+    """
+
+    xi_hat: Array
+    factor: Array
+    d_hat: Array
+    d_std: Array
+    at_rest: bool
+    tuned_at: float
+    refused: int
+    age: int
+    u: Array
+
+
+@dataclass(frozen=True)
+class SampledObserver:
+    """init(x̂₀) → state; step(state, u, y, H) → (state, estimate).
+
+    x_std (n,): standard deviations of x̂₀'s error. Where `known` has no rate of the disturbance (0), `pi` sets the pace.
+    """
+
+    equations: Equations
+    parameters: Vector
+    system: Augmented
+    known: Knowledge
+    x_std: Array
+    alpha: float
+    pi: float
+    _tuned: Latest[Intensities] = field(default_factory=Latest, repr=False, compare=False)
+    _designed: Latest[SampledDesign] = field(default_factory=Latest, repr=False, compare=False)
+    _steady_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
+
+    def init(self, x_hat: Vector) -> SampledState:
+        """Return the state before the first sample, from x̂₀ (n,)."""
+        q = len(self.known.disturbance_bound)
+        return SampledState(
+            xi_hat=np.concatenate([np.array(x_hat, dtype=float), np.zeros(self.system.order * q)]),
+            factor=self._prior_factor(),
+            d_hat=np.zeros(q),
+            d_std=self.known.disturbance_bound,
+            at_rest=False,
+            tuned_at=0.0,
+            refused=0,
+            age=0,
+            u=np.zeros(self.system.linear.B.shape[1]),
+        )
+
+    def design(self, H: float, tuned_at: float | None = None) -> SampledDesign:
+        """Return the stationary design at a step H (s), with the intensities tuned for a step near it.
+
+        Raises DesignError where there is none.
+        """
+        at = tuned_at or H
+        intensities = self._tuned((at,), lambda: self._intensities(at))
+        return self._designed(
+            (H, at), lambda: sampled_design(self.system, H, self.known.R_factor, intensities, self.alpha)
+        )
+
+    def estimate(self, state: SampledState, y: Vector) -> Estimate:
+        """Return what is known when a sample y (p,) has come but no step has been taken from it."""
+        sample = np.array(y, dtype=float)
+        finite = bool(np.all(np.isfinite(sample)))
+        return Estimate(
+            x_hat=state.xi_hat[: self._n],
+            d_hat=state.d_hat,
+            d_at_sample=state.d_hat,
+            d_std=state.d_std,
+            residual=sample - self.system.C @ state.xi_hat if finite else np.zeros(len(sample)),
+            valid=finite,
+        )
+
+    def step(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
+        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
+        if abs(H - state.tuned_at) > _SIMILAR_STEP * state.tuned_at:
+            state = replace(state, tuned_at=H)
+        design = self.design(H, state.tuned_at)
+        inputs = np.array(u, dtype=float)
+        if not np.all(np.isfinite(inputs)):
+            inputs = state.u
+        start = self.estimate(state, y)
+        measured = design.rest if state.at_rest else update(state.factor, self.system.C, self.known.R_factor)
+        used, refused, age = start.valid, 0, state.age
+        # Before it first comes to rest the covariance knows nothing of f's error, so that no sample can be implausible.
+        judged = state.at_rest or state.refused > 0
+        if used and judged and not self._plausible(start.residual, measured.innovation_factor, design):
+            used, refused = False, state.refused + 1
+            if refused > _MOST_REFUSALS:
+                measured = update(self._prior_factor(), self.system.C, self.known.R_factor)
+                used, refused, age = True, 0, 0
+
+        xi_hat, factor, d_hat = state.xi_hat, state.factor, state.d_hat
+        if used:
+            xi_hat, factor = xi_hat + measured.K @ start.residual, measured.factor
+            d_hat = self._disturbance(xi_hat, design, measured.innovation_factor, start.residual)
+        at_rest = used and age >= self._start_up
+        at_rest = at_rest and (state.at_rest or gain_change(measured, design.rest) <= _AT_REST)
+        factor = design.prior_factor if at_rest else predict(factor, design.discrete.filter_phi, design.noise_factor)
+        if age < self._start_up:
+            factor = self._with_f_error(factor, design)
+        xi_after = self._predicted(xi_hat, d_hat, inputs, H, coasting=not used)
+        d_after = xi_after[self._n : self._n + len(d_hat)] if self.system.order else d_hat
+        after = SampledState(
+            xi_hat=xi_after,
+            factor=factor,
+            d_hat=d_after,
+            d_std=self._std(design, factor),
+            at_rest=at_rest,
+            tuned_at=state.tuned_at,
+            refused=refused,
+            age=min(age + 1, self._start_up),
+            u=inputs,
+        )
+        return after, Estimate(
+            x_hat=xi_after[: self._n],
+            d_hat=d_after,
+            d_at_sample=d_hat,
+            d_std=after.d_std,
+            residual=start.residual,
+            valid=used,
+        )
+
+    @property
+    def _n(self) -> int:
+        return len(self.x_std)
+
+    def _prior_factor(self) -> Array:
+        r, bound = self.system.order, self.known.disturbance_bound
+        # The derivatives in between are bounded as those of a sine with the amplitude and the rate that are.
+        pace = (self.known.disturbance_rate / bound) ** (1.0 / max(r, 1))
+        return np.diag(np.concatenate([self.x_std, *(bound * pace**i for i in range(r))]))
+
+    @property
+    def _start_up(self) -> int:
+        return _START_UP * len(self.system.A)
+
+    def _with_f_error(self, factor: Array, design: SampledDesign) -> Array:
+        """Add to the covariance what f(x) − f(x̂) may have done over the step, at most γ times the error of its states.
+
+        The stationary design has f's error in its intensities; at the start the estimate may be off by far more.
+        """
+        f_states = list(self.equations.f_states)
+        f_error = self.equations.lipschitz * float(np.linalg.norm(factor[f_states]))
+        return predict(factor, np.eye(len(factor)), f_error * design.discrete.held_f)
+
+    def _intensities(self, H: float) -> Intensities:
+        if np.all(self.known.disturbance_rate > 0.0):
+            return tuned_intensities(self.system, H, self.alpha, self.known)
+        return from_pi(self.system, H, self.pi, self.known)
+
+    def _plausible(self, residual: Array, innovation_factor: Array, design: SampledDesign) -> bool:
+        jump = np.abs(self.system.C[:, : self._n] @ design.discrete.held_disturbance) @ self.known.disturbance_bound
+        expected = _GATE * np.linalg.norm(innovation_factor, axis=1) + 2.0 * jump
+        return bool(np.all(np.abs(residual) <= expected))
+
+    def _disturbance(self, xi_hat: Array, design: SampledDesign, innovation_factor: Array, residual: Array) -> Array:
+        """Return d̂ (q2,) after an update; for r = 0 the output error counts by how credible it is against rest."""
+        if design.M_H is None:
+            return xi_hat[self._n : self._n + len(self.known.disturbance_bound)]
+        credible = np.linalg.solve(innovation_factor.T, np.linalg.solve(innovation_factor, residual))
+        S_rest = design.rest.innovation_factor @ design.rest.innovation_factor.T
+        return np.asarray(design.M_H @ S_rest @ credible)
+
+    def _predicted(self, xi_hat: Array, d_hat: Array, u: Array, H: float, *, coasting: bool) -> Array:
+        """Return ξ̂⁻ (N,) after H: the plant with d continued by its Taylor series."""
+        n, q, r = self._n, len(d_hat), self.system.order
+        # For r = 0 the updates K e carry all of d, so that only a step without one needs it here.
+        without_order = d_hat[None] if coasting else np.zeros((1, q))
+        series = xi_hat[n:].reshape(r, q) if r else without_order
+        inputs = u.tolist()
+
+        def derivatives(t: float, x: Array) -> Array:
+            d = sum((row * t**i / factorial(i) for i, row in enumerate(series)), np.zeros(q))
+            return np.array(self.equations.derivatives(x.tolist(), inputs, d.tolist(), self.parameters), dtype=float)
+
+        x_after, _ = integrate(derivatives, xi_hat[:n], 0.0, H, H)
+        later = [sum((series[j] * H ** (j - i) / factorial(j - i) for j in range(i, r)), np.zeros(q)) for i in range(r)]
+        return np.concatenate([x_after, *later])
+
+    def _std(self, design: SampledDesign, factor: Array) -> Array:
+        """Return the error bar (q2,) of d̂ a step ahead: of rest, and what the covariance lies above its own rest."""
+        bound = self.known.disturbance_bound
+        rate = self.known.disturbance_rate
+
+        def at_rest() -> Array:
+            # A bias that comes and goes with the signal counts by its root mean square, as that of a sine.
+            return np.asarray(
+                np.hypot(design.noise_std(ahead=True), design.bias_gain(ahead=True) @ rate / np.sqrt(2.0))
+            )
+
+        steady = self._steady_std((design.discrete.H,), at_rest)
+        if self.system.selector is None:
+            return np.asarray(np.minimum(steady, bound))
+        own, rest = self.system.selector @ factor, self.system.selector @ design.prior_factor
+        excess = np.maximum(np.sum(own * own, axis=1) - np.sum(rest * rest, axis=1), 0.0)
+        return np.asarray(np.sqrt(steady**2 + excess))
+
+
+def sampled_observer(
+    equations: Equations,
+    parameters: Vector,
+    *,
+    order: int,
+    noise_std: float,
+    disturbance_bound: Vector,
+    disturbance_rate: Vector,
+    x_hat: Vector,
+    x_std: Vector,
+    alpha: float,
+    pi: float,
+) -> SampledObserver:
+    """Prepare the observer of disturbance order r = 0 … 3; the gain is designed at the first step, which tells H.
+
+    noise_std: σ of every output's sample, 0 for no noise; disturbance_bound D₀ > 0 and disturbance_rate ≥ 0, (q2,): of
+    |d| and |d^{(r)}| (|ḋ| for r = 0); a rate of 0 leaves the pace to `pi`. x_std > 0, (n,): of the error of x_hat (n,).
+    Raises DesignError for values outside these ranges.
+    """
+    _require("disturbance_order", order in ORDERS, "0, 1, 2 or 3", order)
+    _require("noise_std", np.isfinite(noise_std) and noise_std >= 0.0, "a finite number ≥ 0", noise_std)
+    _require("alpha", np.isfinite(alpha) and alpha > 0.0, "a finite number > 0", alpha)
+    _require("pi_end", np.isfinite(pi) and pi > 0.0, "a finite number > 0", pi)
+    bound, rate, std = (np.array(v, dtype=float) for v in (disturbance_bound, disturbance_rate, x_std))
+    _require("disturbance_bound", bool(np.all(np.isfinite(bound) & (bound > 0.0))), "finite numbers > 0", bound)
+    _require("disturbance_rate", bool(np.all(np.isfinite(rate) & (rate >= 0.0))), "finite numbers ≥ 0", rate)
+    _require("hat_start_std", bool(np.all(np.isfinite(std) & (std > 0.0))), "finite numbers > 0", std)
+    system = augment(equations.linear_part(parameters), order)
+    C = system.linear.C
+    # No sample is better than the rounding of a number of its size.
+    rounding = 4.0 * np.finfo(float).eps * (np.abs(C @ np.array(x_hat, dtype=float)) + np.abs(C) @ std)
+    return SampledObserver(
+        equations=equations,
+        parameters=parameters,
+        system=system,
+        known=Knowledge(
+            R_factor=np.diag(np.maximum(noise_std, rounding)),
+            disturbance_bound=bound,
+            disturbance_rate=rate,
+            lipschitz=equations.lipschitz,
+        ),
+        x_std=std,
+        alpha=alpha,
+        pi=pi,
+    )
+
+
+def _require(name: str, condition: bool, expected: str, received: object) -> None:
+    if not condition:
+        raise DesignError.report(name, expected=expected, received=str(received))

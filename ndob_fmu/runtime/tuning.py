@@ -1,0 +1,128 @@
+"""From what users know to what the design needs: noise and pace of the disturbance → noise intensities.
+
+Known are the noise σ of a sample and a bound D of the disturbance's r-th derivative (of the first, for r = 0). A fast
+observer follows the disturbance but passes the noise, a slow one the reverse. The design minimises the sum of both,
+
+    J(s) = Σ_i (|E_i(s)| D + std_i(s)) / D₀ᵢ,
+
+|E| D being the error that a constant r-th derivative leaves behind, and std the noise of d̂. The expert's knob is
+π = s / (σ² H), the ratio of the intensities of disturbance and measurement noise in continuous time, eq. (8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndob_fmu.runtime.augmented import Augmented
+from ndob_fmu.runtime.gains import LinearPart
+from ndob_fmu.runtime.riccati import Array
+from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
+
+# f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
+# standard deviations of the noise makes of it.
+_F_ERROR_IN_SIGMA = 10.0
+# Bandwidths over 1/H that are looked at; beyond the last one nothing changes any more but rounding.
+_SLOWEST, _FASTEST = 1e-4, 4.0
+_SCAN = 10
+_REFINEMENTS = 14
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the user knows, in the units of outputs and disturbances.
+
+    R_factor (p,p): diagonal, standard deviation of each output's sample; disturbance_bound D₀ (q2,) and
+    disturbance_rate (q2,) bound |d| and |d^{(r)}| (|ḋ| for r = 0); lipschitz: γ.
+    """
+
+    R_factor: Array
+    disturbance_bound: Array
+    disturbance_rate: Array
+    lipschitz: float
+
+
+def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledge) -> Intensities:
+    """Return the intensities that minimise J at the step H."""
+
+    def cost(log_bandwidth: float) -> float:
+        design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
+        error = design.bias_gain() @ known.disturbance_rate + design.noise_std()
+        return float(np.log(np.sum(error / known.disturbance_bound)))
+
+    def _at(bandwidth: float) -> Intensities:
+        return at_bandwidth(system, H, bandwidth, known)
+
+    best = _minimise(cost, np.log(_SLOWEST / H), np.log(_FASTEST / H))
+    return _at(float(np.exp(best)))
+
+
+def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
+    """Return the intensities at which d is followed up to `bandwidth` (rad/s): where its spectrum meets the noise's.
+
+    A disturbance of intensity s behind r integrations and a channel of relative degree ρ with gain g has the spectrum
+    s g² / ω^{2(r+ρ)} in an output, the noise σ² H.
+    """
+    rates = known.disturbance_rate
+    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    common = H * bandwidth ** (2 * (system.order + degree)) / gain**2 / rates[0] ** 2
+    return _complete(system, H, common * rates**2, bandwidth, known)
+
+
+def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensities:
+    """Return the intensities of π = s / (σ² H), σ being the smallest noise of an output."""
+    s = pi * float(np.min(np.diag(known.R_factor))) ** 2 * H
+    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    bandwidth = (s * gain**2 / H) ** (0.5 / (system.order + degree))
+    return _complete(system, H, np.full(system.linear.G_d.shape[1], s), bandwidth, known)
+
+
+def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> Intensities:
+    """Add the intensity of f's channel; for r = 0 that channel is one of the disturbance's."""
+    largest = float(np.max(disturbance))
+    if system.order == 0:
+        q_f = system.linear.G.shape[1] - len(disturbance)
+        return Intensities(disturbance=np.concatenate([np.full(q_f, largest), disturbance]), f=0.0)
+    like_disturbance = largest / min(bandwidth, 1.0 / H) ** (2 * system.order)
+    by_noise = (_F_ERROR_IN_SIGMA * known.lipschitz * float(np.min(np.diag(known.R_factor)))) ** 2 * H
+    return Intensities(disturbance=disturbance, f=max(like_disturbance, by_noise))
+
+
+def predicted_error(design: SampledDesign, known: Knowledge) -> tuple[Array, Array]:
+    """Return bias and noise (q2,) of d̂ at the sample."""
+    return design.bias_gain() @ known.disturbance_rate, design.noise_std()
+
+
+def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
+    """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise."""
+    A_norm = float(np.linalg.norm(linear.A, 2))
+    largest = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C), 2) * np.linalg.norm(channel))
+    for degree in range(1, len(linear.A) + 1):
+        gain = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C @ channel)))
+        if gain > 1e-12 * largest * max(A_norm, 1e-300) ** (degree - 1):
+            return degree, gain
+        channel = linear.A @ channel
+    raise AssertionError("a channel that no output sees has passed the assumptions")
+
+
+def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
+    """Return the place of the least cost on [low, high]: a scan, then golden sections around its best."""
+    places = np.linspace(low, high, _SCAN)
+    values = [cost(place) for place in places]
+    best = int(np.argmin(values))
+    left, right = places[max(best - 1, 0)], places[min(best + 1, _SCAN - 1)]
+    ratio = 0.5 * (np.sqrt(5.0) - 1.0)
+    inner = [right - ratio * (right - left), left + ratio * (right - left)]
+    at_inner = [cost(inner[0]), cost(inner[1])]
+    for _ in range(_REFINEMENTS):
+        if at_inner[0] <= at_inner[1]:
+            right, inner[1], at_inner[1] = inner[1], inner[0], at_inner[0]
+            inner[0] = right - ratio * (right - left)
+            at_inner[0] = cost(inner[0])
+        else:
+            left, inner[0], at_inner[0] = inner[0], inner[1], at_inner[1]
+            inner[1] = left + ratio * (right - left)
+            at_inner[1] = cost(inner[1])
+    return float(inner[int(np.argmin(at_inner))])
