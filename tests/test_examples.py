@@ -65,7 +65,7 @@ def test_its_file_says_what_it_is_and_gives_units(path):
 def test_its_default_disturbance_is_one_that_its_bound_allows(path):
     model = MODELS[path.stem]
     assert model.disturbance.kind != "none"
-    assert 0.0 < abs(model.disturbance.amplitude) <= model.disturbance_bound
+    assert 0.0 < abs(model.disturbance.amplitude) <= np.min(model.disturbance_bound)
     assert model.disturbance.start_time < model.experiment.stop_time
 
 
