@@ -79,12 +79,12 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
     inputs = [_signal(eq, name, "input", 0.0, "Input of the plant") for name in eq.inputs]
     inputs += [_signal(eq, name, "input", 0.0, "Measured output of the plant") for name in eq.outputs]
     outputs = [_output(eq, f"{s}_hat", s, f"Estimate of {s} for the end of the step") for s in eq.states]
-    for suffix, text in (
-        ("hat", "Estimate of {} for the end of the step"),
-        ("at_sample", "Estimate of {} for the sample that the step began with"),
-        ("std", "One-sigma error bar of {}_hat"),
+    for suffix, text, depends_on in (
+        ("hat", "Estimate of {} for the end of the step", eq.outputs),
+        ("at_sample", "Estimate of {} for the sample that the step began with", eq.outputs),
+        ("std", "One-sigma error bar of {}_hat", ()),
     ):
-        outputs += [_output(eq, f"{d}_{suffix}", d, text.format(d), eq.outputs) for d in eq.disturbances]
+        outputs += [_output(eq, f"{d}_{suffix}", d, text.format(d), depends_on) for d in eq.disturbances]
     outputs += [
         _output(eq, f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,))
         for y in eq.outputs
