@@ -176,9 +176,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             if variable.items is not None and value not in variable.items.values():
                 allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
                 raise NdobError.report(variable.name, expected=f"one of {allowed}", received=repr(value))
-            if not isfinite(value) or (variable.minimum is not None and value < variable.minimum):
+            too_small = variable.minimum is not None and value < variable.minimum
+            too_large = variable.maximum is not None and value > variable.maximum
+            if not isfinite(value) or too_small or too_large:
                 least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
-                raise NdobError.report(variable.name, expected=f"a finite number{least}", received=repr(value))
+                most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
+                raise NdobError.report(variable.name, expected=f"a finite number{least}{most}", received=repr(value))
 
     def _publish(self, outputs: Iterable[Any]) -> None:
         for vr, value in zip(self._output_references, outputs, strict=True):
