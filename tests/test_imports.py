@@ -113,7 +113,17 @@ def test_the_root_and_the_core_load_none_of_the_heavy_packages(statement):
     assert done.stdout == "[]\n"
 
 
-def test_everything_that_the_root_promises_is_there():
+@pytest.mark.parametrize("before", ["", "import ndob_fmu.cli, ndob_fmu.design;", "from ndob_fmu import *;"])
+def test_what_the_root_promises_is_there_whatever_was_imported_before(before):
+    """A submodule of the same name must not hide a function, as `ndob_fmu.design` would."""
+    program = f"{before}from ndob_fmu import Model, NdobError, build, check, design, load_model, simulate;"
+    program += "import ndob_fmu; print(all(map(callable, [ndob_fmu.design, Model, NdobError, build, check, design,"
+    program += "load_model, simulate])))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout == "True\n"
+
+
+def test_the_root_has_everything_it_lists_and_nothing_else():
     import ndob_fmu
 
     assert [name for name in ndob_fmu.__all__ if getattr(ndob_fmu, name, None) is None] == []
