@@ -1,0 +1,59 @@
+"""What the README shows must run, and must be what the Makefile does."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from clean_process import ENVIRONMENT
+
+from ndob_fmu.cli import main
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text("utf-8")
+PENDULUM = re.search(r"```python\n(.*?)```", README, re.DOTALL)[1]
+
+
+@pytest.fixture
+def pendulum(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "pendulum.py"
+    path.write_text(PENDULUM, "utf-8")
+    return path
+
+
+def test_the_plant_of_the_readme_runs_and_its_disturbance_is_found(pendulum):
+    environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
+    command = [sys.executable, "-W", "error", pendulum]
+    done = subprocess.run(command, env=environment, capture_output=True, encoding="utf-8", check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert float(re.search(r"last second: (\S+) N·m", done.stdout)[1]) < 0.05
+    assert Path("build/fmus/PendulumObserver.fmu").is_file()
+
+
+@pytest.mark.parametrize("words", re.findall(r"ndob-fmu ((?:check|design|build) pendulum\.py[^#\n]*)", README))
+def test_the_commands_of_the_readme_accept_its_plant(pendulum, words, capsys):
+    assert main(words.split()) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_commands_for_windows_are_those_of_the_makefile():
+    recipes = re.findall(r"^\t\$\(BIN\)/(.*)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    assert len(recipes) >= 8
+    for recipe in recipes:
+        assert f".venv\\Scripts\\{recipe.replace(' --quiet --disable-pip-version-check', '')}\n" in README
+
+
+def test_the_files_that_the_readme_links_are_there():
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert len(links) >= 6
+    assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def test_the_layout_names_what_exists():
+    layout = README.split("## Layout")[1].split("##")[0]
+    for name in re.findall(r"^ {4,6}((?:[a-z_]+/)*[a-z_]+(?:\.py|/))", layout, re.MULTILINE):
+        assert (ROOT / name).exists() or (ROOT / "ndob_fmu" / name).exists(), name
