@@ -46,7 +46,16 @@ def _design(options: argparse.Namespace) -> int:
     from ndob_fmu.design import design
     from ndob_fmu.loading import load_model
 
-    result = design(load_model(options.model), pi=options.pi, alpha=options.alpha)
+    result = design(
+        load_model(options.model),
+        pi=options.pi,
+        alpha=options.alpha,
+        step_size=options.step_size,
+        disturbance_order=options.disturbance_order,
+        noise_std=options.noise_std,
+        disturbance_bound=options.disturbance_bound,
+        disturbance_rate=options.disturbance_rate,
+    )
     print(_json(result.to_dict()) if options.json else result)
     return 0
 
@@ -161,6 +170,17 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("model", metavar="MODEL", help=model_help)
     sub.add_argument("--pi", type=float, help="design parameter of the Riccati equation (default: the model's pi_end)")
     sub.add_argument("--alpha", type=float, help="prescribed stability in 1/s (default: the model's)")
+    sub.add_argument(
+        "--step-size", type=float, metavar="H", help="also design the sampled-data observer for a step of H s"
+    )
+    sub.add_argument(
+        "--disturbance-order", type=int, choices=range(4), help="derivatives of the disturbance that it carries"
+    )
+    sub.add_argument("--noise-std", type=float, metavar="S", help="standard deviation of the noise in a sample")
+    for option, text in (("bound", "bound of |d|"), ("rate", "bound of the r-th derivative of d")):
+        sub.add_argument(
+            f"--disturbance-{option}", type=float, nargs="+", metavar="D", help=f"{text}, one for each disturbance"
+        )
     sub.add_argument("--json", action="store_true", help="print JSON")
 
     sub = command("build", _build, "Build <Name>Plant.fmu and <Name>Observer.fmu.")

@@ -33,6 +33,7 @@ class SampledDesign:
 
     system: Augmented
     discrete: Discrete
+    intensities: Intensities
     noise_factor: Array = field(repr=False)
     R_factor: Array = field(repr=False)
     prior_factor: Array = field(repr=False)
@@ -120,6 +121,7 @@ def sampled_design(
     return SampledDesign(
         system=system,
         discrete=discrete,
+        intensities=intensities,
         noise_factor=noise_factor,
         R_factor=R_factor,
         prior_factor=prior_factor,

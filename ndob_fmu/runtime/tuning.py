@@ -49,8 +49,8 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
 
     def cost(log_bandwidth: float) -> float:
         design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
-        error = design.bias_gain() @ known.disturbance_rate + design.noise_std()
-        return float(np.log(np.sum(error / known.disturbance_bound)))
+        bias, noise = predicted_error(design, known.disturbance_rate)
+        return float(np.log(np.sum((bias + noise) / known.disturbance_bound)))
 
     def _at(bandwidth: float) -> Intensities:
         return at_bandwidth(system, H, bandwidth, known)
@@ -74,9 +74,14 @@ def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge
 def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensities:
     """Return the intensities of π = s / (σ² H), σ being the smallest noise of an output."""
     s = pi * float(np.min(np.diag(known.R_factor))) ** 2 * H
-    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
-    bandwidth = (s * gain**2 / H) ** (0.5 / (system.order + degree))
+    bandwidth = bandwidth_of(system, H, s, known)
     return _complete(system, H, np.full(system.linear.G_d.shape[1], s), bandwidth, known)
+
+
+def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge) -> float:
+    """Return the bandwidth (rad/s) that an intensity on the first disturbance asks for; see `at_bandwidth`."""
+    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
 
 
 def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> Intensities:
@@ -90,9 +95,22 @@ def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float,
     return Intensities(disturbance=disturbance, f=max(like_disturbance, by_noise))
 
 
-def predicted_error(design: SampledDesign, known: Knowledge) -> tuple[Array, Array]:
-    """Return bias and noise (q2,) of d̂ at the sample."""
-    return design.bias_gain() @ known.disturbance_rate, design.noise_std()
+def steady_std(design: SampledDesign, rate: Array) -> Array:
+    """Return the one-sigma error bar (q2,) of d̂ a step ahead, for a disturbance of the rate (q2,) of its class.
+
+    A bias that comes and goes with the signal counts by its root mean square, as that of a sine.
+    """
+    return np.asarray(np.hypot(design.noise_std(ahead=True), design.bias_gain(ahead=True) @ rate / np.sqrt(2.0)))
+
+
+def sine_rate(bound: float, order: int) -> float:
+    """Return the bound of the r-th derivative (the first, for r = 0) of a sine of 1 Hz with amplitude `bound`."""
+    return float(bound * (2.0 * np.pi) ** max(order, 1))
+
+
+def predicted_error(design: SampledDesign, rate: Array) -> tuple[Array, Array]:
+    """Return bias and noise (q2,) of d̂ at the sample, for a disturbance of the rate (q2,) of its class."""
+    return design.bias_gain() @ rate, design.noise_std()
 
 
 def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
