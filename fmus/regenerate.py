@@ -5,8 +5,8 @@
 FOLDER, by default the one this file lies in, gets FlexibleJointPlant/ and FlexibleJointObserver/ with the files of the
 FMI cross-check: `_in.csv` the inputs, `_ref.csv` the reference, `_ref.opt` how to run. No FMU is involved. The plant's
 reference comes from SciPy and from the equations written out below, so that it shares nothing with what it checks. The
-observer's is a run of its core over samples of that plant: it tells that the estimate changed, not that it is right;
-that is shown by the tests of the convergence to the continuous system.
+observer's are runs of its core over samples of that plant, `_ref` by its default method, `_paper_ref` by the paper's: they
+tell that an estimate changed, not that it is right; that is for the tests of the theory.
 
 Commit new files only together with the reason why the old ones no longer hold.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 import sys
 from math import sin
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from scipy.integrate import solve_ivp
 from ndob_fmu import load_model
 from ndob_fmu.results import Recording, atomic_path, write_csv
 from ndob_fmu.runtime.paper_observer import paper_observer
+from ndob_fmu.runtime.sampled_observer import sampled_observer
 from ndob_fmu.runtime.schedule import PiSchedule
 
 Array = NDArray[np.float64]
@@ -65,13 +67,31 @@ def observer_inputs() -> Recording:
     return Recording(times, ("motor_torque", *OUTPUTS), np.column_stack([np.zeros(len(times)), x[:, [2, 0]]]))
 
 
-def observer_reference(inputs: Recording) -> Recording:
-    """Return what the observer FMU puts out for these inputs, the paper's method with its default parameters."""
-    model = load_model("flexible_joint")
-    tuning = model.observer
-    schedule = PiSchedule(tuning.pi_start, tuning.pi_end, tuning.pi_ramp_time)
-    observer = paper_observer(model.equations, list(model.equations.parameters.values()), schedule, alpha=tuning.alpha)
-    state = observer.init(model.equations.xhat0)
+def observers() -> dict[str, Any]:
+    """Return the observers of both methods at the FMU's start values, by the name that their reference has."""
+    eq = load_model("flexible_joint").equations
+    tuning, parameters = eq.observer, list(eq.parameters.values())
+    paper = paper_observer(
+        eq, parameters, PiSchedule(tuning.pi_start, tuning.pi_end, tuning.pi_ramp_time), alpha=tuning.alpha
+    )
+    sampled = sampled_observer(
+        eq,
+        parameters,
+        order=tuning.disturbance_order,
+        noise_std=tuning.noise_std,
+        disturbance_bound=eq.disturbance_bound,
+        disturbance_rate=eq.disturbance_rate,
+        x_hat=eq.xhat0,
+        x_std=eq.xhat0_std,
+        alpha=tuning.alpha,
+        pi=tuning.pi_end,
+    )
+    return {"FlexibleJointObserver_ref.csv": sampled, "FlexibleJointObserver_paper_ref.csv": paper}
+
+
+def observer_reference(observer: Any, inputs: Recording) -> Recording:
+    """Return what the observer FMU puts out for these inputs."""
+    state = observer.init(observer.equations.xhat0)
     u, y = inputs.columns[:, :1], inputs.columns[:, 1:]
     estimates = [observer.estimate(state, y[0])]
     for k in range(len(inputs.time) - 1):
@@ -113,7 +133,8 @@ def main(folder: Path) -> None:
     _write_options(plant / "FlexibleJointPlant_ref.opt", OUTPUT_INTERVAL, 1e-8)
     inputs = observer_inputs()
     write_csv(observer / "FlexibleJointObserver_in.csv", inputs)
-    write_csv(observer / "FlexibleJointObserver_ref.csv", observer_reference(inputs))
+    for name, core in observers().items():
+        write_csv(observer / name, observer_reference(core, inputs))
     _write_options(observer / "FlexibleJointObserver_ref.opt", OBSERVER_STEP, 1e-6)
 
 
