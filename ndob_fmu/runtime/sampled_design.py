@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -75,6 +76,16 @@ class SampledDesign:
         if ahead:
             error = (self.discrete.Phi * scale / scale[:, None]) @ error + drive
         return np.asarray(np.abs(select @ error))
+
+    @cached_property
+    def usual_innovation(self) -> Array:
+        """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what a sample shows of it."""
+        scale, F, K, C, _ = self._scaled()
+        Phi = self.discrete.Phi * scale / scale[:, None]
+        identity = np.eye(len(F))
+        before_update = Phi @ (identity - K @ C)
+        source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
+        return np.asarray(np.abs(C @ np.linalg.solve(identity - before_update, source / scale[:, None])))
 
     def _ramp_error(self, scale: Array, drive: Array) -> Array:
         """Return d̂ − d (q2,q2) for r = 0 and d = t in one channel each: x̃⁻ = a t/H + b follows its own recursion."""

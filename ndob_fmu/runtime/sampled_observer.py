@@ -22,14 +22,15 @@ from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
-from ndob_fmu.runtime.tuning import Knowledge, from_pi, tuned_intensities
+from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_std, tuned_intensities
 
 ORDERS = (0, 1, 2, 3)
 # The intensities are tuned anew where the step differs by more than this from the one they were tuned for.
 _SIMILAR_STEP = 0.1
 _AT_REST = 1e-7
-# A sample is refused where it lies further from its prediction than this many standard deviations and what a jump of d
-# by 2 D₀ could do in a step. After so many refusals in a row it is the estimate that must be wrong: it starts anew.
+# A sample is refused where it lies further from its prediction than this many standard deviations, twice what the class
+# of disturbances always does, and what a jump of d by 2 D₀ could do in a step, together. After so many refusals in a
+# row it is the estimate that must be wrong: it starts anew.
 _GATE = 6.0
 _MOST_REFUSALS = 10
 # Steps per state after a start in which the error of f counts for more than the stationary design has in it.
@@ -107,6 +108,7 @@ class SampledObserver:
         return Estimate(
             x_hat=state.xi_hat[: self._n],
             d_hat=state.d_hat,
+            x_at_sample=state.xi_hat[: self._n],
             d_at_sample=state.d_hat,
             d_std=state.d_std,
             residual=sample - self.system.C @ state.xi_hat if finite else np.zeros(len(sample)),
@@ -157,6 +159,7 @@ class SampledObserver:
         return after, Estimate(
             x_hat=xi_after[: self._n],
             d_hat=d_after,
+            x_at_sample=xi_hat[: self._n],
             d_at_sample=d_hat,
             d_std=after.d_std,
             residual=start.residual,
@@ -193,7 +196,8 @@ class SampledObserver:
 
     def _plausible(self, residual: Array, innovation_factor: Array, design: SampledDesign) -> bool:
         jump = np.abs(self.system.C[:, : self._n] @ design.discrete.held_disturbance) @ self.known.disturbance_bound
-        expected = _GATE * np.linalg.norm(innovation_factor, axis=1) + 2.0 * jump
+        usual = self.known.disturbance_rate if self.system.order else self.known.disturbance_bound
+        expected = _GATE * np.linalg.norm(innovation_factor, axis=1) + 2.0 * (jump + design.usual_innovation @ usual)
         return bool(np.all(np.abs(residual) <= expected))
 
     def _disturbance(self, xi_hat: Array, design: SampledDesign, innovation_factor: Array, residual: Array) -> Array:
@@ -222,18 +226,10 @@ class SampledObserver:
 
     def _std(self, design: SampledDesign, factor: Array) -> Array:
         """Return the error bar (q2,) of d̂ a step ahead: of rest, and what the covariance lies above its own rest."""
-        bound = self.known.disturbance_bound
         rate = self.known.disturbance_rate
-
-        def at_rest() -> Array:
-            # A bias that comes and goes with the signal counts by its root mean square, as that of a sine.
-            return np.asarray(
-                np.hypot(design.noise_std(ahead=True), design.bias_gain(ahead=True) @ rate / np.sqrt(2.0))
-            )
-
-        steady = self._steady_std((design.discrete.H,), at_rest)
+        steady = self._steady_std((design.discrete.H,), lambda: steady_std(design, rate))
         if self.system.selector is None:
-            return np.asarray(np.minimum(steady, bound))
+            return np.asarray(np.minimum(steady, self.known.disturbance_bound))
         own, rest = self.system.selector @ factor, self.system.selector @ design.prior_factor
         excess = np.maximum(np.sum(own * own, axis=1) - np.sum(rest * rest, axis=1), 0.0)
         return np.asarray(np.sqrt(steady**2 + excess))
