@@ -79,7 +79,7 @@ class SampledDesign:
 
     @cached_property
     def usual_innovation(self) -> Array:
-        """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what a sample shows of it."""
+        """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what samples show of it."""
         scale, F, K, C, _ = self._scaled()
         Phi = self.discrete.Phi * scale / scale[:, None]
         identity = np.eye(len(F))
