@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from fmus.slave_base import Slave
+from ndob_fmu.runtime.channel import lumped, lumped_bound, lumped_rate, read_out
 from ndob_fmu.runtime.interface import METHODS, Variable, for_each_disturbance, observer_variables
 from ndob_fmu.runtime.observer import Estimate
 from ndob_fmu.runtime.paper_observer import PaperObserver, paper_observer
@@ -23,7 +24,12 @@ class ObserverSlave(Slave):
     def start(self, start_time: float) -> None:
         """Make the observer and start it from the given estimate of the state."""
         make = self._paper if self.value("method") == METHODS["paper"] else self._sampled
-        self.observer: Any = make()
+        self.observer: Any = read_out(
+            self.equations,
+            self.values(self.equations.parameters),
+            make(),
+            disturbance_bound=self._for_disturbances("disturbance_bound"),
+        )
         self.state: Any = self.observer.init(self._for_states("hat_start"))
 
     def show(self) -> Iterable[Any]:
@@ -39,22 +45,24 @@ class ObserverSlave(Slave):
 
     def _paper(self) -> PaperObserver:
         return paper_observer(
-            self.equations,
+            lumped(self.equations),
             self.values(self.equations.parameters),
             PiSchedule(*self.values(["pi_start", "pi_end", "pi_ramp_time"])),
             alpha=self.value("alpha"),
             noise_std=self.value("noise_std"),
-            disturbance_bound=self._for_disturbances("disturbance_bound"),
+            disturbance_bound=lumped_bound(self.equations, self._for_disturbances("disturbance_bound")),
         )
 
     def _sampled(self) -> SampledObserver:
+        order = self.value("disturbance_order")
+        bound, rate = (self._for_disturbances(name) for name in ("disturbance_bound", "disturbance_rate"))
         return sampled_observer(
-            self.equations,
+            lumped(self.equations),
             self.values(self.equations.parameters),
-            order=self.value("disturbance_order"),
+            order=order,
             noise_std=self.value("noise_std"),
-            disturbance_bound=self._for_disturbances("disturbance_bound"),
-            disturbance_rate=self._for_disturbances("disturbance_rate"),
+            disturbance_bound=lumped_bound(self.equations, bound),
+            disturbance_rate=lumped_rate(self.equations, bound, rate, order=order),
             x_hat=self._for_states("hat_start"),
             x_std=self._for_states("hat_start_std"),
             alpha=self.value("alpha"),

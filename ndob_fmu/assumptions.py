@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.checklist import Report, Row
+from ndob_fmu.direction import shortest_direction
 from ndob_fmu.errors import UsageError
 from ndob_fmu.lipschitz import largest_slope
 from ndob_fmu.model import Model
+from ndob_fmu.runtime.channel import VANISHING
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.zeros import RANK_TOLERANCE, Balanced, ComplexArray, balance, pencil_zeros
@@ -35,7 +37,7 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
         raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(chosen))
     linear = model.linear_part(parameters)
     system = balance(linear.A, linear.G, linear.C)
-    channels = [*([] if linear.matched else [f"f[{i}]" for i in range(linear.G_f.shape[1])]), *model.disturbances]
+    channels = [*([] if linear.matched else [f"f[{i}]" for i in range(linear.G_f.shape[1])]), *model.unknown_inputs]
     rows = (
         _enough_outputs(linear),
         _full_rank("rank_C", "rank C = p", system.C, model.outputs, "two outputs measure the same thing"),
@@ -45,6 +47,7 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
         _relative_degrees(system, channels),
         *_zero_rows(system, float(chosen)),
         _lipschitz(model, parameters),
+        *_direction(model, parameters),
     )
     return Report(model=model.name, alpha=float(chosen), rows=rows)
 
@@ -200,6 +203,23 @@ def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> Row:
         failure=f"{found} where gamma = {model.lipschitz:g} is declared",
         likely="gamma was declared for other parameters, or a steep part of f was overlooked",
         values=values,
+    )
+
+
+def _direction(model: Model, parameters: Mapping[str, float] | None) -> Iterator[Row]:
+    """Inform of how short n(x, u) becomes, in the bounds of its entries; a disturbance without a channel has none."""
+    if not model.channel_expressions:
+        return
+    shortest = shortest_direction(model, parameters)
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in shortest.at.items())
+    yield Row(
+        "direction",
+        True,
+        "for information",
+        f"shortest n, in its bounds, {shortest.length:.3g}"
+        + (f" at {where}" if where else "")
+        + f"; the estimate is held below {VANISHING:g}; largest entry {shortest.largest_entry:.3g} times its bound",
+        values={"shortest": shortest.length, "at": shortest.at, "largest_entry": shortest.largest_entry},
     )
 
 

@@ -21,9 +21,16 @@ _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edi
 
 import math
 
-from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu.runtime.equations import {names}
 
 '''
+
+_IMPORTED = ["Equations", "Experiment", "ObserverDefaults", "SignalDefaults"]
+
+# What a disturbance with a channel adds: the plant is the one with lumped inputs w, driven by w = n(x, u) d.
+_PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
+    return lumped_derivatives(_x, _u, [_n * _d[0] for _n in direction(_x, _u, _p)], _p)
+"""
 
 
 def emit_python(model: Model) -> str:
@@ -35,14 +42,16 @@ def emit_python(model: Model) -> str:
         [model.symbols[name] for name in group]
         for group in (model.states, model.inputs, model.disturbances, model.parameters)
     )
+    directions = list(model.channel_expressions)
+    w = list(sympy.symbols(f"_w:{len(directions)}", real=True)) if directions else d
     f = sympy.Matrix(len(model.f_expressions), 1, list(model.f_expressions))
-    derivatives = model.A * sympy.Matrix(x) + model.G_d * sympy.Matrix(d)
+    derivatives = model.A * sympy.Matrix(x) + model.G_d * sympy.Matrix(w)
     if u:
         derivatives += model.B * sympy.Matrix(u)
     if model.f_expressions:
         derivatives += model.G_f * f
     parts = [
-        _HEADER.format(name=model.name),
+        _HEADER.format(name=model.name, names=", ".join(["Channel"] * bool(directions) + _IMPORTED)),
         _function(
             "matrices",
             [("_p", p)],
@@ -50,9 +59,16 @@ def emit_python(model: Model) -> str:
             [M.shape for M in (model.A, model.B, model.C, model.G_f, model.G_d)],
         ),
         _function("nonlinearity", [("_x", x), ("_u", u), ("_p", p)], list(f)),
-        _function("derivatives", [("_x", x), ("_u", u), ("_d", d), ("_p", p)], list(derivatives)),
-        _equations(model),
     ]
+    if directions:
+        parts += [
+            _function("direction", [("_x", x), ("_u", u), ("_p", p)], directions),
+            _function("lumped_derivatives", [("_x", x), ("_u", u), ("_w", w), ("_p", p)], list(derivatives)),
+            _PLANT_WITH_CHANNEL,
+        ]
+    else:
+        parts.append(_function("derivatives", [("_x", x), ("_u", u), ("_d", d), ("_p", p)], list(derivatives)))
+    parts.append(_equations(model))
     return "\n\n".join(parts)
 
 
@@ -69,10 +85,12 @@ def compile_equations(model: Model) -> Equations:
         equations.matrices(values)
         for start in (equations.x0, equations.xhat0):
             equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
+            if equations.channel is not None:
+                equations.channel.direction(start, (0.0,) * len(equations.inputs), values)
     except (ArithmeticError, ValueError, NameError, TypeError) as error:
         raise ModelError.report(
             f"{model.name} at its start values",
-            expected="matrices and f that can be evaluated",
+            expected=f"matrices and f{' and channel' if equations.channel else ''} that can be evaluated",
             received=f"{type(error).__name__}: {error}",
             likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
         ) from error
@@ -149,4 +167,7 @@ def _equations(model: Model) -> str:
     }
     lines = [f"    {name}={value!r}," for name, value in fields.items()]
     lines += [f"    {name}={name}," for name in ("matrices", "nonlinearity", "derivatives")]
+    if model.channel_expressions:
+        bounds = f"bound={model.channel_bound!r}, rate={float(model.channel_rate)!r}"
+        lines.append(f"    channel=Channel({bounds}, direction=direction, derivatives=lumped_derivatives),")
     return "EQUATIONS = Equations(\n" + "\n".join(lines) + "\n)\n"

@@ -53,7 +53,7 @@ def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -
     half_widths = np.array([box(model)[name] for name in names])
     norms = _norms(model, names, model.parameter_values(parameters))
     starts = np.array([[v[model.states.index(s)] if s in model.states else 0.0 for s in names] for v in _starts(model)])
-    points = np.vstack([starts, _samples(half_widths)])
+    points = np.vstack([starts, samples(half_widths)])
     values = norms(points)
     best = np.argsort(-values, kind="stable")[: _CLIMBS if names and np.isfinite(values).all() else 1]
     found = [(float(values[i]), points[i]) for i in best]
@@ -76,7 +76,8 @@ def _starts(model: Model) -> tuple[tuple[float, ...], ...]:
     return ((0.0,) * n, tuple(model.x0 or ()), tuple(model.xhat0 or ()))
 
 
-def _samples(half_widths: Array) -> Array:
+def samples(half_widths: Array) -> Array:
+    """Return points (4096, len(half_widths)) of the box, with a fixed seed; half of their entries are small."""
     random = np.random.default_rng(0)
     shape = (_SAMPLES, len(half_widths))
     points = random.uniform(-1.0, 1.0, shape)

@@ -2,6 +2,7 @@
 
 Matched (paper §2, eq. 1):    ẋ = A x + B u + G (f(x, u) + d),           y = C x
 Unmatched (paper §3, eq. 20): ẋ = A x + B u + G_f f(x, u) + G_d d,       y = C x
+With a channel (docs/state_dependent_channel.md): n(x, u) d in place of d, for one d and n with k entries
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import sympy
 
 from ndob_fmu.emit import compile_equations
 from ndob_fmu.errors import ModelError
-from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults, lumped_names
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.interface import reserved_names
 
@@ -38,6 +39,10 @@ class Model:
     `disturbance_bound` is D₀, one number or one for each disturbance; `x0` and `xhat0` are the start values of the
     plant and of its estimate, `xhat0_std` the standard deviation of the latter's error (by default what they differ by,
     or 1 where they do not). `observer`, `disturbance` and `experiment` are start values of the FMUs.
+
+    `channel(x, u, p)` returns k SymPy expressions n, the direction in which the one disturbance acts through the k
+    columns of G_d (n,k). `channel_bound` bounds their magnitudes, one number or k (default 1); `channel_rate` Ω (rad/s)
+    is how fast n changes along a motion: its i-th derivative in time is at most Ω^i times the bound.
 
     Raises ModelError where names, shapes or symbols contradict each other.
     """
@@ -65,7 +70,11 @@ class Model:
     observer: ObserverDefaults = field(default_factory=ObserverDefaults)
     disturbance: SignalDefaults = field(default_factory=SignalDefaults)
     experiment: Experiment = field(default_factory=Experiment)
+    channel: Nonlinearity | None = None
+    channel_bound: float | Sequence[float] | None = None
+    channel_rate: float = 0.0
     f_expressions: tuple[sympy.Expr, ...] = field(init=False, repr=False)
+    channel_expressions: tuple[sympy.Expr, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._normalise_names()
@@ -73,8 +82,14 @@ class Model:
         self._set("A", self._matrix("A", self.A, (n, n), f"{n} states are named"))
         self._set("B", self._matrix("B", self.B if m else None, (n, m), f"{n} states and {m} inputs are named"))
         self._set("C", self._matrix("C", self.C, (p, n), f"{p} outputs and {n} states are named"))
-        self._set("G_d", self._matrix("G_d", self.G_d, (n, q), f"{n} states and {q} disturbances are named"))
-        expressions = self._evaluate_f()
+        directions = self._evaluate("channel", self.channel)
+        self._set("channel_expressions", directions)
+        self._check_channel(q)
+        named = f"{n} states and {q} disturbances are named"
+        returned = f"{n} states are named and channel returns {len(directions)} expressions"
+        shape = (n, len(directions) or q)
+        self._set("G_d", self._matrix("G_d", self.G_d, shape, returned if directions else named))
+        expressions = self._evaluate("f", self.f)
         columns = len(expressions)
         if self.G_f is None and columns:
             self._set("G_f", self.G_d)
@@ -84,8 +99,10 @@ class Model:
             self._set(vector, self._vector(vector, getattr(self, vector), (0.0,) * n))
         differences = tuple(abs(a - b) or 1.0 for a, b in zip(self.x0 or (), self.xhat0 or (), strict=True))
         self._set("xhat0_std", self._vector("xhat0_std", self.xhat0_std, differences, positive=True))
-        bound = self._for_each_disturbance(self.disturbance_bound)
+        bound = _for_each(q, self.disturbance_bound)
         self._set("disturbance_bound", self._vector("disturbance_bound", bound, (1.0,) * q, positive=True))
+        bound = _for_each(len(directions), self.channel_bound)
+        self._set("channel_bound", self._vector("channel_bound", bound, (1.0,) * len(directions), positive=True))
         self._check_lipschitz()
         self._check_output_names()
 
@@ -95,6 +112,12 @@ class Model:
     def matched(self) -> bool:
         """Whether f and d enter through the same channel (eq. 1), or there is no f."""
         return not self.f_expressions or _same(self.G_f, self.G_d)
+
+    @property
+    def unknown_inputs(self) -> tuple[str, ...]:
+        """What enters through the columns of G_d: the disturbances, or n₁ d … n_k d of the one with a channel."""
+        names = tuple(self.disturbances)
+        return lumped_names(names[0], len(self.channel_expressions)) if self.channel_expressions else names
 
     @cached_property
     def symbols(self) -> Mapping[str, sympy.Symbol]:
@@ -116,7 +139,7 @@ class Model:
         """Bound (q2,) of |d^{(r)}|, of |ḋ| for r = 0: the observer's default, or that of 1 Hz sines at the bound."""
         rate, order = self.observer.disturbance_rate, max(self.observer.disturbance_order, 1)
         sines = tuple(bound * (2.0 * math.pi) ** order for bound in tuple(self.disturbance_bound))  # type: ignore[arg-type]
-        return self._vector("observer.disturbance_rate", self._for_each_disturbance(rate), sines)
+        return self._vector("observer.disturbance_rate", _for_each(len(sines), rate), sines)
 
     @cached_property
     def equations(self) -> Equations:
@@ -251,22 +274,22 @@ class Model:
             raise ModelError.report(f"{self.name}.{label}", expected="finite entries", received=str(expression))
         return expression.xreplace({symbol: self.symbols[symbol.name] for symbol in expression.free_symbols})
 
-    def _evaluate_f(self) -> tuple[sympy.Expr, ...]:
-        if self.f is None:
+    def _evaluate(self, label: str, function: Nonlinearity | None) -> tuple[sympy.Expr, ...]:
+        if function is None:
             return ()
         spaces = [
             SimpleNamespace(**{name: self.symbols[name] for name in group})
             for group in (self.states, self.inputs, self.parameters)
         ]
         try:
-            values = list(self.f(*spaces))
+            values = list(function(*spaces))
             return tuple(
-                self._own_symbols("f", value, [*self.states, *self.inputs, *self.parameters]) for value in values
+                self._own_symbols(label, value, [*self.states, *self.inputs, *self.parameters]) for value in values
             )
         except (AttributeError, TypeError, sympy.SympifyError) as error:
             raise ModelError.report(
-                f"{self.name}.f",
-                expected="f(x, u, p) returning a list of SymPy expressions in their attributes",
+                f"{self.name}.{label}",
+                expected=f"{label}(x, u, p) returning a list of SymPy expressions in their attributes",
                 received=_one_line(error),
                 likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
             ) from error
@@ -283,8 +306,30 @@ class Model:
             raise ModelError.report(f"{self.name}.{label}", expected=expected, received=repr(value))
         return tuple(float(v) for v in numbers)
 
-    def _for_each_disturbance(self, value: Any) -> Any:
-        return [value] * len(self.disturbances) if _is_finite_number(value) else value
+    def _check_channel(self, disturbances: int) -> None:
+        if self.channel is None:
+            for label, given in (
+                ("channel_bound", self.channel_bound not in (None, ())),  # it becomes () in a model without channel
+                ("channel_rate", self.channel_rate),
+            ):
+                if given:
+                    raise ModelError.report(
+                        f"{self.name}.{label}", expected="a channel that it belongs to", received="no channel"
+                    )
+            return
+        if not self.channel_expressions:
+            raise ModelError.report(f"{self.name}.channel", expected="at least one expression", received="none")
+        if disturbances != 1:
+            raise ModelError.report(
+                f"{self.name}.disturbances",
+                expected="one disturbance where there is a channel",
+                received=f"{disturbances}: {', '.join(self.disturbances)}",
+                likely="the channel belongs to one of them; give the others constant columns in a model of their own",
+            )
+        if not (_is_finite_number(self.channel_rate) and self.channel_rate >= 0):
+            raise ModelError.report(
+                f"{self.name}.channel_rate", expected="a finite number ≥ 0 (rad/s)", received=repr(self.channel_rate)
+            )
 
     def _check_lipschitz(self) -> None:
         gamma = self.lipschitz
@@ -301,6 +346,10 @@ class Model:
                     received=f"the row {list(self.C.row(row))} of C",
                     likely="another name is needed for this output, or the rows of C are in another order",
                 )
+
+
+def _for_each(count: int, value: Any) -> Any:
+    return [value] * count if _is_finite_number(value) else value
 
 
 def _is_finite_number(value: Any) -> bool:

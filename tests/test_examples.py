@@ -41,7 +41,11 @@ def observe(model, pi):
     )
     d = np.array([generate(t) * shares for t in times])
     residuals = (run.y[:n] - run.y[n:]).T @ linear.C.T
-    return times, d, np.sqrt(pi) * residuals @ gains.W.T @ linear.selector.T
+    estimate = np.sqrt(pi) * residuals @ gains.W.T @ linear.selector.T
+    if eq.channel is not None:
+        n_hat = np.array([eq.channel.direction(x_hat, u, p) for x_hat in run.y[n:].T])
+        estimate = (np.sum(n_hat * estimate, axis=1) / np.sum(n_hat**2, axis=1))[:, None]
+    return times, d, estimate
 
 
 @every_example

@@ -135,13 +135,14 @@ MANY = [*MODELS.values(), *(to_model(problem.linear, f"Random{i}") for i, proble
 
 @pytest.mark.parametrize("model", MANY, ids=lambda model: model.name)
 def test_the_derivatives_are_those_of_the_matrices_and_f(model):
-    """ẋ = A x + B u + G_f f(x, u) + G_d d."""
+    """ẋ = A x + B u + G_f f(x, u) + G_d w, with w = d or n(x, u) d."""
     random = np.random.default_rng(2)
     linear, eq, p = model.linear_part(), model.equations, model.parameter_values()
     for _ in range(5):
         x, u, d = (random.normal(size=len(group)) for group in (model.states, model.inputs, model.disturbances))
         f = np.array(eq.nonlinearity(x, u, p))
-        expected = linear.A @ x + linear.B @ u + linear.G_f @ f + linear.G_d @ d
+        w = d if eq.channel is None else np.array(eq.channel.direction(x, u, p)) * d
+        expected = linear.A @ x + linear.B @ u + linear.G_f @ f + linear.G_d @ w
         np.testing.assert_allclose(eq.derivatives(x, u, d, p), expected, rtol=1e-12, atol=1e-12)
 
 

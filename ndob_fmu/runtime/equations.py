@@ -54,12 +54,32 @@ class Experiment:
 
 
 @dataclass(frozen=True)
+class Channel:
+    """The direction n (k,) in which one disturbance acts: ẋ = … + G_d w with the lumped inputs w = n(x, u) d.
+
+    direction(x, u, p) returns n as a tuple of k numbers, derivatives(x, u, w, p) ẋ as a tuple of n. `bound` (k,) bounds
+    |n_j|; `rate` Ω (rad/s) says that the i-th derivative of n_j in time is at most Ω^i times its bound.
+    """
+
+    bound: tuple[float, ...]
+    rate: float
+    direction: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+
+
+def lumped_names(disturbance: str, k: int) -> tuple[str, ...]:
+    """Return names for w = n(x, u) d in reports."""
+    return tuple(f"n[{j}]*{disturbance}" for j in range(k))
+
+
+@dataclass(frozen=True)
 class Equations:
     """ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x, with everything a component needs to name and start it.
 
     matrices(p) returns A, B, C, G_f, G_d as nested tuples; nonlinearity(x, u, p) f as a tuple of q1 numbers;
     derivatives(x, u, d, p) ẋ as a tuple of n. `p` holds the parameters in the order of `parameters`. `f_states` are the
-    indices of the states that f depends on, `lipschitz` its constant γ.
+    indices of the states that f depends on, `lipschitz` its constant γ. With a `channel` there is n(x, u) d in place
+    of d, which is one disturbance then.
     """
 
     name: str
@@ -85,6 +105,7 @@ class Equations:
     matrices: Callable[[Vector], tuple[tuple[tuple[float, ...], ...], ...]] = field(repr=False)
     nonlinearity: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    channel: Channel | None = None
 
     def linear_part(self, parameters: Vector) -> LinearPart:
         """Return the constant matrices at the given parameter values."""

@@ -94,7 +94,8 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
             name="valid",
             causality="output",
             type="Boolean",
-            description="False while the estimate coasts because a sample could not be used",
+            description="False while the estimate coasts because a sample could not be used"
+            + (f", or {eq.disturbances[0]} because its direction vanishes" if eq.channel else ""),
             depends_on=eq.outputs,
         )
     )

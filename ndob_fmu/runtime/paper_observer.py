@@ -74,6 +74,7 @@ class PaperObserver:
         return Estimate(
             x_hat=state.x_hat,
             d_hat=d_hat,
+            x_at_sample=state.x_hat,
             d_at_sample=d_hat,
             d_std=self._error_bar(state.elapsed),
             residual=residual,
