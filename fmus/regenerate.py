@@ -5,8 +5,8 @@
 FOLDER, by default the one this file lies in, gets FlexibleJointPlant/ and FlexibleJointObserver/ with the files of the
 FMI cross-check: `_in.csv` the inputs, `_ref.csv` the reference, `_ref.opt` how to run. No FMU is involved. The plant's
 reference comes from SciPy and from the equations written out below, so that it shares nothing with what it checks. The
-observer's are runs of its core over samples of that plant, `_ref` by its default method, `_paper_ref` by the paper's: they
-tell that an estimate changed, not that it is right; that is for the tests of the theory.
+observer's are runs of its core over samples of that plant, `_ref` by its default method, `_paper_ref` by the paper's.
+They tell that an estimate changed, not that it is right; that is for the tests of the theory.
 
 Commit new files only together with the reason why the old ones no longer hold.
 """
