@@ -1,0 +1,45 @@
+"""The accuracy of this package's observer and of what could be used in its place, on one plant, in one table.
+
+    python -m benchmarks.accuracy [--quick] [--must-show] [--out DIR] [--seed N] [--workers N]
+
+The plant is the paper's flexible joint, |d| ≤ D₀ = 5. The script runs every estimator over step sizes, disturbances and
+noise and writes `accuracy.md` and `accuracy.png` into DIR, by default `docs`. --must-show prints the figures that the
+observer is required to reach. The same arguments give the same bytes, however many workers there are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.accuracy_cells import QUICK, Plan, run_all
+from benchmarks.accuracy_must_show import as_text, measure
+from benchmarks.accuracy_page import write
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0], prog="python -m benchmarks.accuracy")
+    parser.add_argument("--quick", action="store_true", help="a few cells only, as a smoke test")
+    parser.add_argument(
+        "--must-show", action="store_true", help="only print the required figures and the measured ones"
+    )
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs", help="default: docs")
+    parser.add_argument("--seed", type=int, default=Plan.seed, help="of the measurement noise")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    given = parser.parse_args(arguments)
+    plan = replace(QUICK if given.quick else Plan(), seed=given.seed)
+    required = measure(plan, given.workers)
+    if given.must_show:
+        print(as_text(required))
+        return 0
+    for path in write(given.out, plan, run_all(plan, given.workers), required):
+        print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
