@@ -4,14 +4,17 @@
 
 At π = 1e16 the entries of Q span a dozen decades and a general solver loses them silently. The large directions of Q
 are those of G, then A G, and so on; here the states are first rotated into that order, then scaled by powers of two
-(exact in floating point) until Q has a diagonal near one. π is raised to its value by continuation, and the solution is
-polished by Newton's method until its residual is at rounding level or it is refused.
+(exact in floating point) until Q has a diagonal near one. π is raised to its value by continuation; on the way the
+directions within G, within A G and so on are rotated to the principal axes of Q where these differ much in size, as
+they do where channels differ in relative degree. The solution is polished by Newton's method until its residual is at
+rounding level or it is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +27,7 @@ RESIDUAL_TOLERANCE = 1e-8
 _CONTINUATION_FACTOR = 100.0
 _SIGN_ITERATIONS = 100
 _NEWTON_STEPS = 12
+_WELL_CONDITIONED = 10.0
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class RiccatiSolution:
 
     Q: (n, n) symmetric positive definite
     coordinates: (n, n) T of x = T z, in which Q is balanced: an orthogonal matrix times powers of two
-    residual: Frobenius norm of the equation over that of its largest term, both in the states z
+    residual: Frobenius norm of the equation over that of its largest term, the larger one of states z and states x
     """
 
     pi: float
@@ -64,31 +68,37 @@ def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float
 
     Raises DesignError like `solve_riccati`.
     """
-    basis, A_b, G_b = controllability_staircase(A, G)
+    basis, A_b, G_b, edges = controllability_staircase(A, G)
     C_b = C @ basis
     shifted = A_b + alpha * np.eye(len(A))
-    scale = np.ones(len(A))
+    Q_scaled, scale = np.eye(len(A)), np.ones(len(A))
     previous = min(1.0, float(pis[0]))
     for pi in pis:
         steps = int(np.ceil(np.log(pi / previous) / np.log(_CONTINUATION_FACTOR)))
-        for on_the_way in np.geomspace(previous, pi, steps + 1)[1:-1]:
-            scale = _settle_scale(shifted, C_b, G_b, on_the_way, scale)[1]
-        Q_scaled, scale = _settle_scale(shifted, C_b, G_b, pi, scale)
+        for value in [*np.geomspace(previous, pi, steps + 1)[1:-1], pi]:
+            V, scale = _principal_axes(Q_scaled, scale, edges)
+            basis, C_b, shifted, G_b = basis @ V, C_b @ V, V.T @ shifted @ V, V.T @ G_b
+            Q_scaled, scale = _settle_scale(shifted, C_b, G_b, value, scale)
         previous = pi
+        Q = basis @ (scale[:, None] * Q_scaled * scale) @ basis.T
         yield RiccatiSolution(
             pi=float(pi),
             alpha=alpha,
-            Q=basis @ (scale[:, None] * Q_scaled * scale) @ basis.T,
+            Q=Q,
             coordinates=basis * scale,
-            residual=_relative_residual(Q_scaled, *_terms(shifted, C_b, G_b, pi, scale)),
+            residual=max(
+                _relative_residual(Q_scaled, *_terms(shifted, C_b, G_b, pi, scale)),
+                # Q was rounded on its way back; in dense coordinates at extreme π that alone can spoil the gain.
+                _relative_size((A + alpha * np.eye(len(A))) @ Q, Q @ C.T @ (C @ Q), pi * G @ G.T),
+            ),
         )
 
 
-def controllability_staircase(A: Array, G: Array) -> tuple[Array, Array, Array]:
+def controllability_staircase(A: Array, G: Array) -> tuple[Array, Array, Array, list[int]]:
     """Return an orthogonal basis T (n,n) ordered as G, A G, A² G, …, with Tᵀ A T and Tᵀ G in staircase form.
 
     The zeros of the staircase are set to exactly zero: their rounding errors, times √π, would swamp the small
-    directions of Q.
+    directions of Q. Last come the edges of its blocks, from 0 to n.
     """
     n = len(A)
     T = np.zeros((n, 0))
@@ -109,7 +119,7 @@ def controllability_staircase(A: Array, G: Array) -> tuple[Array, Array, Array]:
     G_t[edges[1] if len(edges) > 1 else 0 :] = 0.0
     for k in range(2, len(edges)):
         A_t[edges[k] :, edges[k - 2] : edges[k - 1]] = 0.0
-    return T, A_t, G_t
+    return T, A_t, G_t, edges if edges[-1] == n else [*edges, n]
 
 
 def lyapunov(A: Array, Q: Array) -> Array:
@@ -146,6 +156,21 @@ def _settle_scale(shifted: Array, C: Array, G: Array, pi: float, scale: Array) -
             break
         scale = scale * correction
     return Q, scale
+
+
+def _principal_axes(Q_scaled: Array, scale: Array, edges: list[int]) -> tuple[Array, Array]:
+    """Return an orthogonal V (n,n) and the scale (n,) along its axes.
+
+    V makes a diagonal block of Q diagonal where the scale alone leaves it ill-conditioned; elsewhere it is I.
+    """
+    V, scale = np.eye(len(scale)), scale.copy()
+    for block in (slice(*ends) for ends in pairwise(edges)):
+        own = Q_scaled[block, block]
+        if np.all(np.isfinite(own)) and np.linalg.cond(own) > _WELL_CONDITIONED:
+            sizes, V[block, block] = np.linalg.eigh(scale[block, None] * own * scale[block])
+            smallest = np.finfo(float).eps * sizes[-1]
+            scale[block] = np.exp2(np.round(0.5 * np.log2(np.maximum(sizes, smallest))))
+    return V, scale
 
 
 def _solve_scaled(A: Array, S: Array, V: Array) -> Array:
@@ -186,6 +211,9 @@ def _solve_by_sign(A: Array, S: Array, V: Array) -> Array:
 
 
 def _relative_residual(Q: Array, A: Array, S: Array, V: Array) -> float:
-    AQ, QSQ = A @ Q, Q @ S @ Q
+    return _relative_size(A @ Q, Q @ S @ Q, V)
+
+
+def _relative_size(AQ: Array, QSQ: Array, V: Array) -> float:
     largest = max(np.linalg.norm(AQ), np.linalg.norm(QSQ), np.linalg.norm(V))
     return float(np.linalg.norm(AQ + AQ.T - QSQ + V) / largest)
