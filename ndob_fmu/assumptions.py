@@ -1,6 +1,6 @@
 """The paper's assumptions, checked before anything is designed (eqs. 2–4 and 21), each with its measured value.
 
-Modes, ranks and zeros are judged in the balanced units of `ndob_fmu.zeros`; rates are reported in 1/s of the plant.
+Modes, ranks and zeros are judged in the balanced units of `ndob_fmu.runtime.zeros`; rates are reported in 1/s.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ndob_fmu.model import Model
 from ndob_fmu.runtime.channel import VANISHING
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.riccati import Array
-from ndob_fmu.zeros import RANK_TOLERANCE, Balanced, ComplexArray, balance, pencil_zeros
+from ndob_fmu.runtime.zeros import RANK_TOLERANCE, Balanced, ComplexArray, balance, pencil_zeros
 
 MODE_TOLERANCE = 1e-8
 LIPSCHITZ_TOLERANCE = 1e-6

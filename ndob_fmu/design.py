@@ -10,6 +10,7 @@ from ndob_fmu.assumptions import check
 from ndob_fmu.continuous_report import Design, sorted_poles
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model import Model
+from ndob_fmu.runtime.channel import lumped_bound, lumped_rate
 from ndob_fmu.runtime.gains import paper_gains
 from ndob_fmu.runtime.tuning import sine_rate
 from ndob_fmu.sampled_report import sampled_data_design
@@ -32,7 +33,7 @@ def design(
     π > 0 and α > 0 (1/s) are the paper's. The sampled-data observer is tuned from what users know: noise_std σ of a
     sample, disturbance_bound D₀ and disturbance_rate, the bound of |d^{(r)}| (of |ḋ| for r = 0), each one number or one
     per disturbance, and the disturbance_order r = 0 … 3; a π that is given sets its pace in their place. What is not
-    given is the model's.
+    given is the model's. For a disturbance with a channel the design is that of the lumped inputs n_j d.
 
     Raises UsageError for a π that is none, AssumptionError where an assumption of the paper fails, and DesignError for
     other values outside their range or where a gain cannot be trusted.
@@ -55,14 +56,15 @@ def design(
         usual = equations.disturbance_rate
     else:
         usual = tuple(sine_rate(value, order) for value in bound)
+    rate = _for_each("disturbance rate", disturbance_rate, q, usual)
     return sampled_data_design(
         continuous,
         model,
         step_size=step_size,
         order=order,
         noise_std=model.observer.noise_std if noise_std is None else noise_std,
-        disturbance_bound=bound,
-        disturbance_rate=_for_each("disturbance rate", disturbance_rate, q, usual),
+        disturbance_bound=tuple(lumped_bound(equations, bound)),
+        disturbance_rate=tuple(lumped_rate(equations, bound, rate, order=order)),
         by_pi=expert is not None,
         parameters=parameters,
     )

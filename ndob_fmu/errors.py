@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ndob_fmu.runtime.errors import DesignError, NdobError
+from ndob_fmu.runtime.errors import AssumptionError, DesignError, NdobError
 
 
 class UsageError(NdobError):
@@ -11,12 +11,6 @@ class UsageError(NdobError):
 
 class ModelError(NdobError):
     """A model is missing, cannot be read, or contradicts itself."""
-
-
-class AssumptionError(NdobError):
-    """An assumption of the paper does not hold for the system."""
-
-    exit_code = 1
 
 
 class CouplingError(NdobError):

@@ -104,7 +104,7 @@ def read_csv(path: str | Path) -> Recording:
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:  # -sig: spreadsheets write a byte-order mark
             names = next(csv.reader(file), [])
-            lines = file.readlines()
+            lines = [line.replace("True", "1").replace("False", "0") for line in file]  # as fmpy writes Booleans
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
     if not names or names[0] != "time" or len(set(names)) != len(names):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ndob_fmu.certificate import Certificate, certify
 from ndob_fmu.continuous_report import Array, Design, sorted_poles, table
 from ndob_fmu.model import Model
+from ndob_fmu.runtime.channel import lumped
 from ndob_fmu.runtime.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.tuning import bandwidth_of, predicted_error, steady_std
 
@@ -112,7 +113,7 @@ def sampled_data_design(
 
     Raises DesignError for values outside their range or where no stationary gain can be found.
     """
-    equations = model.equations
+    equations = lumped(model.equations)
 
     def observer_for(rate: tuple[float, ...]) -> SampledObserver:
         return sampled_observer(
@@ -167,8 +168,8 @@ def _warnings(bound: Array, H: float, bandwidth: float, bias: Array, noise: Arra
     if by_pi:
         if bandwidth * H > 1.0:
             found.append(
-                f"pi asks for a bandwidth of {bandwidth:.3g} rad/s, H ω₀ = {bandwidth * H:.2g}: the step is too coarse, "
-                f"the samples carry nothing beyond {1.0 / H:.3g} rad/s"
+                f"pi asks for a bandwidth of {bandwidth:.3g} rad/s, H ω₀ = {bandwidth * H:.2g}: "
+                f"the step is too coarse, the samples carry nothing beyond {1.0 / H:.3g} rad/s"
             )
     elif np.all(noise < _STEP_LIMITS * bias):
         found.append(

@@ -15,7 +15,7 @@ from ndob_fmu import check
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
 from ndob_fmu.model import Model
 from ndob_fmu.runtime.gains import LinearPart
-from ndob_fmu.zeros import balance, transmission_zeros
+from ndob_fmu.runtime.zeros import balance, transmission_zeros
 
 FLEXIBLE_JOINT = MODELS["flexible_joint"]
 random_problem = pytest.mark.parametrize("problem", RANDOM, ids=lambda problem: problem.name)

@@ -62,6 +62,13 @@ def test_a_csv_file_of_fmpy_is_read(tmp_path):
     np.testing.assert_array_equal(read_csv(tmp_path / "u.csv")["u"], table["u"])
 
 
+def test_the_booleans_of_fmpys_files_are_read(tmp_path):
+    path = tmp_path / "fmpy.csv"
+    result = np.array([(0.0, True, 1.5), (0.1, False, 2.5)], dtype=[("time", float), ("valid", bool), ("y", float)])
+    fmpy_write_csv(path, result)
+    np.testing.assert_array_equal(read_csv(path)["valid"], [1.0, 0.0])
+
+
 def test_a_recording_without_signals_still_has_its_times(tmp_path):
     empty = Recording(np.array([0.0, 1.0]), (), np.zeros((2, 0)))
     write_csv(tmp_path / "result.csv", empty)

@@ -21,6 +21,12 @@ class DesignError(NdobError):
     exit_code = 1
 
 
+class AssumptionError(NdobError):
+    """An assumption of the paper does not hold for the system."""
+
+    exit_code = 1
+
+
 class IntegrationError(NdobError):
     """The plant's equations cannot be integrated further."""
 

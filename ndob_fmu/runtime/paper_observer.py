@@ -14,6 +14,7 @@ from math import ceil
 import numpy as np
 
 from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.errors import DesignError
 from ndob_fmu.runtime.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.gains import LinearPart, orthogonal_factor
 from ndob_fmu.runtime.hold import History, empty_history
@@ -21,6 +22,7 @@ from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.schedule import GainTable, PiSchedule, gain_table
+from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 # The explicit part of the integration stays accurate while f and ln π change this little over one substep.
 _LARGEST_LIPSCHITZ_STEP = 0.5
@@ -191,9 +193,12 @@ def paper_observer(
     """Design the observer for the given parameter values.
 
     `noise_std` of a sample and `disturbance_bound` D₀ (q2,) go into the error bar only. Raises DesignError where the
-    gains cannot be trusted.
+    gains cannot be trusted, AssumptionError where α reaches the zeros.
     """
     linear = equations.linear_part(parameters)
+    if not (np.isfinite(alpha) and alpha > 0.0):
+        raise DesignError.report("alpha", expected="a finite number > 0", received=f"{alpha!r}")
+    require_zeros_left_of(linear, alpha)
     return PaperObserver(
         equations=equations,
         parameters=parameters,

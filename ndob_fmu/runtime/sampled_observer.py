@@ -23,6 +23,7 @@ from ndob_fmu.runtime.observer import Estimate
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
 from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_std, tuned_intensities
+from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 ORDERS = (0, 1, 2, 3)
 # The intensities are tuned anew where the step differs by more than this from the one they were tuned for.
@@ -252,7 +253,7 @@ def sampled_observer(
 
     noise_std: σ of every output's sample, 0 for no noise; disturbance_bound D₀ > 0 and disturbance_rate ≥ 0, (q2,): of
     |d| and |d^{(r)}| (|ḋ| for r = 0); a rate of 0 leaves the pace to `pi`. x_std > 0, (n,): of the error of x_hat (n,).
-    Raises DesignError for values outside these ranges.
+    Raises DesignError for values outside these ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
     """
     _require("disturbance_order", order in ORDERS, "0, 1, 2 or 3", order)
     _require("noise_std", np.isfinite(noise_std) and noise_std >= 0.0, "a finite number ≥ 0", noise_std)
@@ -262,7 +263,9 @@ def sampled_observer(
     _require("disturbance_bound", bool(np.all(np.isfinite(bound) & (bound > 0.0))), "finite numbers > 0", bound)
     _require("disturbance_rate", bool(np.all(np.isfinite(rate) & (rate >= 0.0))), "finite numbers ≥ 0", rate)
     _require("hat_start_std", bool(np.all(np.isfinite(std) & (std > 0.0))), "finite numbers > 0", std)
-    system = augment(equations.linear_part(parameters), order)
+    linear = equations.linear_part(parameters)
+    require_zeros_left_of(linear, alpha if order == 0 else 0.0)
+    system = augment(linear, order)
     C = system.linear.C
     # No sample is better than the rounding of a number of its size.
     rounding = 4.0 * np.finfo(float).eps * (np.abs(C @ np.array(x_hat, dtype=float)) + np.abs(C) @ std)

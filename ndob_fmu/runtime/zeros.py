@@ -11,10 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from ndob_fmu.errors import AssumptionError
+from ndob_fmu.runtime.errors import AssumptionError
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.riccati import Array
 
@@ -95,6 +94,18 @@ def transmission_zeros(linear: LinearPart) -> ComplexArray:
     return system.rate * zeros
 
 
+def require_zeros_left_of(linear: LinearPart, margin: float) -> None:
+    """Raise AssumptionError unless every zero has Re z < −margin (1/s); the parameters of an FMU may move them."""
+    zeros = transmission_zeros(linear)
+    if len(zeros) and zeros[0].real >= -margin:
+        raise AssumptionError.report(
+            "transmission zeros",
+            expected=f"all of them left of {-margin:g} 1/s",
+            received=f"one at {zeros[0]:.6g} 1/s",
+            likely="alpha too large, or parameters that make the plant non-minimum phase",
+        )
+
+
 def pencil_zeros(A: Array, G: Array, C: Array) -> tuple[ComplexArray, int]:
     """Return the finite zeros of a balanced system and the normal rank of C (sI − A)⁻¹ G.
 
@@ -107,10 +118,9 @@ def pencil_zeros(A: Array, G: Array, C: Array) -> tuple[ComplexArray, int]:
     n, rank = len(A), len(D)
     if rank < q or n == 0:
         return np.zeros(0, dtype=complex), rank
-    # D is square and invertible: the zeros are the eigenvalues of A − B D⁻¹ C, found without inverting D.
+    # D is square and invertible: the zeros are the eigenvalues of A − B D⁻¹ C, found without inverting D itself.
     kernel = np.linalg.svd(np.hstack([C, D]))[2][q:].T
-    zeros = np.asarray(scipy.linalg.eigvals(np.hstack([A, B]) @ kernel, kernel[:n]), dtype=complex)
-    zeros = zeros[np.isfinite(zeros)]
+    zeros = np.linalg.eigvals(np.hstack([A, B]) @ kernel @ np.linalg.inv(kernel[:n])).astype(complex)
     return zeros[np.lexsort((zeros.imag, -zeros.real))], rank
 
 
