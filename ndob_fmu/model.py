@@ -101,8 +101,9 @@ class Model:
         self._set("xhat0_std", self._vector("xhat0_std", self.xhat0_std, differences, positive=True))
         bound = _for_each(q, self.disturbance_bound)
         self._set("disturbance_bound", self._vector("disturbance_bound", bound, (1.0,) * q, positive=True))
-        bound = _for_each(len(directions), self.channel_bound)
-        self._set("channel_bound", self._vector("channel_bound", bound, (1.0,) * len(directions), positive=True))
+        if directions:
+            bound = _for_each(len(directions), self.channel_bound)
+            self._set("channel_bound", self._vector("channel_bound", bound, (1.0,) * len(directions), positive=True))
         self._check_lipschitz()
         self._check_output_names()
 
@@ -309,7 +310,7 @@ class Model:
     def _check_channel(self, disturbances: int) -> None:
         if self.channel is None:
             for label, given in (
-                ("channel_bound", self.channel_bound not in (None, ())),  # it becomes () in a model without channel
+                ("channel_bound", self.channel_bound is not None),
                 ("channel_rate", self.channel_rate),
             ):
                 if given:
