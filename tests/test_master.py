@@ -90,6 +90,15 @@ def test_a_signal_that_passes_twice_through_one_component_is_right_at_the_start(
     assert recording["double.r"][0] == 6.0
 
 
+def test_an_input_file_that_shows_in_an_output_at_once_is_no_algebraic_loop(tmp_path, caplog):
+    path = tmp_path / "in.csv"
+    path.write_text('"time","gain.u"\n0.0,3.0\n')
+    gain = Mock(["u"], ["y"], output=lambda x, u: [2.0 * u["u"]])
+    recording = simulate(System({"gain": gain}), input_file=path, stop_time=0.2, step_size=0.1)
+    assert recording["gain.y"][0] == 6.0
+    assert caplog.text == ""
+
+
 def test_an_algebraic_loop_at_the_start_is_named_in_a_warning(caplog):
     loop = System({"up": gain(2.0), "back": Mock(["u"], ["y"], output=lambda x, u: [1 + u["u"]])})
     loop = System(loop.components, (*chain("up", "back"), *chain("back", "up")))

@@ -136,11 +136,13 @@ def _too_long(rows: int, width: int) -> NdobError:
 def _exchange(parts: list[_Part], bus: Array, wiring: Wiring) -> None:
     """Carry outputs to inputs during initialization until nothing changes any more.
 
-    Without an algebraic loop each sweep settles at least one connection more, so that ``links + 1`` sweeps suffice.
+    Without an algebraic loop the first sweep brings in the input file and each one settles at least one connection
+    more, so that one sweep besides shows that nothing changes.
     """
+    sweeps = wiring.links + bool(wiring.table.ports) + 1
     for part in parts:
         part.send()
-    for _ in range(wiring.links + 1):
+    for _ in range(sweeps):
         before = bus.copy()
         for part in parts:
             part.receive(bus)
@@ -151,6 +153,6 @@ def _exchange(parts: list[_Part], bus: Array, wiring: Wiring) -> None:
     _log.warning(
         "the values at the start have not settled after %d exchanges: algebraic loop through %s; the first steps "
         "begin from values that do not fit together",
-        wiring.links + 1,
+        sweeps,
         ", ".join(names),
     )
