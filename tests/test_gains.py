@@ -105,7 +105,7 @@ def test_m_returns_a_constant_unknown_input_exactly_at_any_pi(problem, pi):
     gains = paper_gains(linear, pi=pi, alpha=0.4)
     assert gains.M.shape == problem.shape[:1:-1]
     dc = dc_gain_of(linear, gains)
-    np.testing.assert_allclose(gains.M @ dc, np.eye(len(gains.M)), atol=1e-9)
+    np.testing.assert_allclose(gains.M @ dc, np.eye(len(gains.M)), atol=1e-13)
 
 
 @problems
@@ -155,7 +155,7 @@ def test_the_bandwidth_of_the_joint_is_pi_to_a_quarter():
 
 @pytest.mark.parametrize("problem", RANDOM[4:8], ids=lambda problem: problem.name)
 def test_the_noise_gain_is_the_spread_of_d_hat_under_white_noise_in_the_samples(problem):
-    """d̂ of the observer itself, eq. (23), at the true state and under 20000 noisy samples."""
+    """d̂ of the observer itself, eq. (23), at the true state and under 8000 noisy samples."""
     model = to_model(problem.linear)
     report = design(model, pi=1e6, alpha=0.4)
     observer = paper_observer(model.equations, (), PiSchedule(1.0, 1e6, 0.0), alpha=0.4)
@@ -163,8 +163,8 @@ def test_the_noise_gain_is_the_spread_of_d_hat_under_white_noise_in_the_samples(
     state = observer.init(np.ones(n))
     y = problem.linear.C @ np.ones(n)
     random = np.random.default_rng(0)
-    noise = [observer.estimate(state, y + 1e-3 * random.normal(size=p)).d_hat for _ in range(20_000)]
-    np.testing.assert_allclose(np.std(noise, axis=0), 1e-3 * report.noise_gain, rtol=0.02)
+    noise = [observer.estimate(state, y + 1e-3 * random.normal(size=p)).d_hat for _ in range(8_000)]
+    np.testing.assert_allclose(np.std(noise, axis=0), 1e-3 * report.noise_gain, rtol=0.03)
 
 
 @pytest.mark.parametrize("problem", RANDOM[4:8], ids=lambda problem: problem.name)
