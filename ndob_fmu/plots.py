@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,17 @@ def plot_peaking(path: Path, scheduled: tuple[Array, Array], at_once: tuple[Arra
         axes.set_ylabel(f"|{label}|")
         axes.set_title("Peaking that the schedule of π avoids")
         axes.legend(loc="upper right")
+
+
+def plot_start_up(path: Path, errors: Mapping[str, tuple[Array, Array]], *, label: str) -> None:
+    """Write figure 4: |d̂ − d| from the first step on, each entry (time in s, error) under its name."""
+    with _figure(path, rows=1) as (axes,):
+        for (text, (time, error)), color in zip(errors.items(), ("C3", "C0", "C2"), strict=True):
+            axes.loglog(time[1:], np.maximum(error[1:], 1e-12), color=color, label=text)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"|{label}|")
+        axes.set_title("How long the estimate takes from a wrong start")
+        axes.legend(loc="lower left")
 
 
 def show(recording: Recording) -> None:

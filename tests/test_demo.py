@@ -14,7 +14,7 @@ from ndob_fmu.cli import main
 from ndob_fmu.demo import run_demo, verdict
 from ndob_fmu.results import Recording
 
-FIGURES = ["fig1_disturbance.png", "fig2_state_error.png", "fig3_peaking.png"]
+FIGURES = ["fig1_disturbance.png", "fig2_state_error.png", "fig3_peaking.png", "fig4_start_up.png"]
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 
 
@@ -58,6 +58,13 @@ def test_the_estimate_settles_and_stays_as_in_the_paper(summary):
 
 def test_without_the_schedule_the_estimate_peaks(summary):
     assert summary["peak_estimate_without_schedule"] > 1e5
+
+
+def test_the_everyday_method_needs_neither_seconds_nor_a_schedule(summary):
+    everyday = summary["sampled_data"]
+    assert everyday["settling_time_2_percent"] <= 10 * summary["step_size"]
+    assert everyday["peak_estimate"] <= 15.0
+    assert everyday["final_disturbance_error"] <= 1e-7
 
 
 def test_the_summary_tells_how_it_was_made(summary):
