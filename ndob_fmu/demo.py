@@ -127,7 +127,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
             "paper, π raised along the schedule": (shown.time, shown.error),
             "sampled-data design (method 2)": (everyday.time, everyday.error),
         },
-        label=f"error of the estimated {label}",
+        label="error of d̂ [N·m]",
     )
     write_json(results / "summary.json", summary)
     return summary

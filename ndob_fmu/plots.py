@@ -81,7 +81,7 @@ def plot_start_up(path: Path, errors: Mapping[str, tuple[Array, Array]], *, labe
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"|{label}|")
         axes.set_title("How long the estimate takes from a wrong start")
-        axes.legend(loc="lower left")
+        axes.legend(loc="upper right")
 
 
 def show(recording: Recording) -> None:
