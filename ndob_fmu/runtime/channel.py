@@ -67,13 +67,15 @@ def lumped_rate(equations: Equations, bound: Vector, rate: Vector, *, order: int
     """Return the bounds of the r-th derivative of w_j (k,), for D_r (1,) that of d; of the first for r = 0.
 
     With the derivatives of d in between bounded as those of a sine, D_i = D₀ (D_r/D₀)^{i/r}, Leibniz' rule gives
-    |w_j^{(r)}| ≤ n̄_j Σ_i (r over i) Ω^{r−i} D_i = n̄_j (Ω D₀^{1/r} + D_r^{1/r})^r. Unknown (0) stays unknown.
+    |w_j^{(r)}| ≤ n̄_j Σ_i (r over i) Ω^{r−i} D_i = n̄_j (Ω D₀^{1/r} + D_r^{1/r})^r. What is unknown (0) stays so, and
+    what makes no sense (< 0) is left to whoever judges it.
     """
     if equations.channel is None:
         return rate
-    r = max(order, 1)
-    turning = equations.channel.rate * bound[0] ** (1.0 / r) if rate[0] else 0.0
-    return [n_bound * (turning + rate[0] ** (1.0 / r)) ** r for n_bound in equations.channel.bound]
+    r, of_w = max(order, 1), rate[0]
+    if rate[0] > 0.0 and bound[0] > 0.0:
+        of_w = (equations.channel.rate * bound[0] ** (1.0 / r) + rate[0] ** (1.0 / r)) ** r
+    return [n_bound * of_w for n_bound in equations.channel.bound]
 
 
 def read_out(
