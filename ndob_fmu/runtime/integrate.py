@@ -29,6 +29,7 @@ _A = np.array(
 _E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what leaves the finite numbers ends in an error below, not in a warning
 def integrate(
     derivatives: Callable[[float, Array], Array], x: Array, t: float, t_end: float, h: float
 ) -> tuple[Array, float]:

@@ -24,7 +24,7 @@ class PlantState:
 
 @dataclass(frozen=True)
 class Plant:
-    """init(x₀, t₀) → state; step(state, u, d, H) → state. One generator per disturbance, in order."""
+    """init(x₀, t₀) → state; step(state, u, d, t_end) → state. One generator per disturbance, in order."""
 
     equations: Equations
     parameters: Vector
