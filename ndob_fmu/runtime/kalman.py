@@ -54,6 +54,12 @@ def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Ar
     its way to the limit, and steps of the recursion itself take off its rounding errors. Raises DesignError where two
     successive steps still differ by more than 1e-9 in the gain, relative to its scaled size.
     """
+    # A mode that no sample sees grows beyond all numbers; the change of the gain then shows it.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _stationary(Phi, C, noise_factor, R_factor)
+
+
+def _stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Array:
     N = len(Phi)
     factor = predict(np.zeros((N, N)), Phi, noise_factor)
     for _ in range(_TRIAL_STEPS + N):
@@ -77,6 +83,7 @@ def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Ar
         change = gain_change(step, after)
         step = after
         if change <= _TOLERANCE:
+            _require_stable(Phi @ (np.eye(N) - step.K @ C))
             return factor
     raise DesignError.report(
         "sampled-data gain",
@@ -84,6 +91,17 @@ def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Ar
         received=f"{change:.1e}",
         likely="a mode that is almost unobservable at this step size, or noise and disturbance of impossible sizes",
     )
+
+
+def _require_stable(error_dynamics: Array) -> None:
+    radius = float(np.max(np.abs(np.linalg.eigvals(error_dynamics))))
+    if radius >= 1.0:
+        raise DesignError.report(
+            "sampled-data gain",
+            expected="a stationary covariance with all poles of the error inside the unit circle",
+            received=f"one of magnitude {radius:.6g}",
+            likely="a mode that no output sees",
+        )
 
 
 def gain_change(before: Update, after: Update) -> float:
