@@ -33,6 +33,19 @@ _PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
 """
 
 
+class _Printer(PythonCodePrinter):  # type: ignore[misc]
+    """Python text that evaluates to the very numbers of the model: SymPy's own keeps 15 digits of a float."""
+
+    def _print_Float(self, number: sympy.Float) -> str:
+        return repr(float(number))
+
+    def _print_Piecewise(self, pieces: sympy.Piecewise) -> str:
+        if pieces.args[-1].cond != sympy.true:  # where no condition holds there is no number; SymPy would write None
+            pieces = sympy.Piecewise(*pieces.args, (sympy.nan, True))
+        text: str = super()._print_Piecewise(pieces)
+        return text
+
+
 def emit_python(model: Model) -> str:
     """Return the text of a Python module that defines EQUATIONS for the model.
 
@@ -103,7 +116,7 @@ def _function(
     expressions: Sequence[sympy.Expr],
     shapes: Sequence[tuple[int, int]] | None = None,
 ) -> str:
-    printer = PythonCodePrinter({"fully_qualified_modules": True})
+    printer = _Printer({"fully_qualified_modules": True})
     temporaries = sympy.numbered_symbols("_t", real=True)
     shared, reduced = sympy.cse(list(expressions), symbols=temporaries, list=True) if expressions else ([], [])
     used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
