@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndob_fmu.runtime.augmented import Augmented
+from ndob_fmu.runtime.errors import DesignError
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
@@ -48,7 +49,10 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
     """Return the intensities that minimise J at the step H."""
 
     def cost(log_bandwidth: float) -> float:
-        design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
+        try:
+            design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
+        except DesignError:  # at the far ends of the range; if it is everywhere, the final design says so
+            return np.inf
         bias, noise = predicted_error(design, known.disturbance_rate)
         return float(np.log(np.sum((bias + noise) / known.disturbance_bound)))
 
