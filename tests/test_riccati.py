@@ -3,6 +3,8 @@
 (A + αI) Q + Q (A + αI)ᵀ − Q Cᵀ C Q + π G Gᵀ = 0
 """
 
+from dataclasses import replace
+
 import mpmath
 import numpy as np
 import pytest
@@ -128,6 +130,25 @@ def test_lyapunovs_equation_is_solved_as_scipy_solves_it_in_balanced_states(prob
     V = np.diag(np.arange(1.0, len(T) + 1.0))
     X = lyapunov(closed, V)
     assert relative_difference(X, scipy.linalg.solve_continuous_lyapunov(closed, -V)) < 1e-8
+
+
+@pytest.mark.parametrize("modes", [[-3.0], [-3.0, -2.0], [-3.0, -0.1]])
+@pytest.mark.parametrize("pi", [1.0, 1e12])
+def test_modes_that_no_unknown_input_reaches_take_part_only_where_they_lie_right_of_minus_alpha(modes, pi):
+    """Without controllability Q is only semidefinite: a mode left of −α needs no gain, and its rows of Q are zero."""
+    linear, k = RANDOM[6].linear, len(modes)
+    n = len(linear.A)
+    A = scipy.linalg.block_diag(linear.A, np.diag(modes))
+    C = np.hstack([linear.C, np.arange(1.0, 3.0 * k + 1).reshape(3, k)])
+    G = np.vstack([linear.G, np.zeros((k, linear.G.shape[1]))])
+    solution = solve_riccati(A, C, G, pi=pi, alpha=0.4)
+    assert relative_residual(replace(linear, A=A, C=C, G_f=G[:, :1], G_d=G[:, 1:]), solution.Q, pi, 0.4) < 1e-10
+    closed = A + 0.4 * np.eye(n + k) - solution.Q @ C.T @ C
+    assert np.linalg.eigvals(closed).real.max() < 0
+    slow = np.array(modes) > -0.4
+    unneeded = solution.Q[n:][~slow]
+    assert np.max(np.abs(unneeded)) < 1e-9 * np.linalg.norm(solution.Q)
+    assert np.all(np.diag(solution.Q)[n:][slow] > 0.01)
 
 
 # -- the staircase behind it

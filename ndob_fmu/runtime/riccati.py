@@ -166,7 +166,7 @@ def _principal_axes(Q_scaled: Array, scale: Array, edges: list[int]) -> tuple[Ar
     V, scale = np.eye(len(scale)), scale.copy()
     for block in (slice(*ends) for ends in pairwise(edges)):
         own = Q_scaled[block, block]
-        if np.all(np.isfinite(own)) and np.linalg.cond(own) > _WELL_CONDITIONED:
+        if np.all(np.isfinite(own)) and np.all(np.diag(own) > 0) and np.linalg.cond(own) > _WELL_CONDITIONED:
             sizes, V[block, block] = np.linalg.eigh(scale[block, None] * own * scale[block])
             smallest = np.finfo(float).eps * sizes[-1]
             scale[block] = np.exp2(np.round(0.5 * np.log2(np.maximum(sizes, smallest))))
