@@ -102,9 +102,10 @@ def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float,
 def steady_std(design: SampledDesign, rate: Array) -> Array:
     """Return the one-sigma error bar (q2,) of d̂ a step ahead, for a disturbance of the rate (q2,) of its class.
 
-    A bias that comes and goes with the signal counts by its root mean square, as that of a sine.
+    The bias counts as a number that may lie anywhere within its bounds: its variance is a third of their square.
     """
-    return np.asarray(np.hypot(design.noise_std(ahead=True), design.bias_gain(ahead=True) @ rate / np.sqrt(2.0)))
+    bias = design.bias_gain(ahead=True) @ rate
+    return np.asarray(np.hypot(design.noise_std(ahead=True), bias / np.sqrt(3.0)))
 
 
 def sine_rate(bound: float, order: int) -> float:
