@@ -146,7 +146,7 @@ def sampled_data_design(
         disturbance_rate=disturbance_rate,
         K=found.K,
         M_H=found.M_H,
-        filter_poles=sorted_poles(np.linalg.eigvals(found.error_dynamics)),
+        filter_poles=sorted_poles(found.poles),
         equivalent_pi=intensity / (float(np.min(np.diag(known.R_factor))) ** 2 * step_size),
         sampled_bandwidth=min(bandwidth, 1.0 / step_size),
         predicted_bias=bias,

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.runtime.augmented import Augmented, Discrete, discretise
 from ndob_fmu.runtime.exponential import exponential
-from ndob_fmu.runtime.kalman import Update, covariance_of, stationary, update
+from ndob_fmu.runtime.kalman import Update, covariance_of, own_coordinates, stationary, update
 from ndob_fmu.runtime.riccati import Array
 
 
@@ -51,74 +52,88 @@ class SampledDesign:
         """F (N,N) of the error after the update, ξ̃⁺ = F ξ̃ + …: (I − K C) Φ; its eigenvalues are the filter's poles."""
         return (np.eye(len(self.K)) - self.K @ self.system.C) @ self.discrete.Phi
 
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """The filter's poles (N,), in the z plane."""
+        return np.asarray(np.linalg.eigvals(self._own.F)).astype(complex)
+
     def noise_std(self, *, ahead: bool = False) -> Array:
         """Return the standard deviation (q2,) that sample noise gives d̂, at the sample or a step `ahead` of it."""
-        scale, F, K, C, select = self._scaled()
-        noise = K @ self.R_factor
-        X = covariance_of(F, noise)
+        own = self._own
+        X = covariance_of(own.F, own.K @ self.R_factor)
+        if self.M_H is not None or ahead:
+            X = own.Phi @ X @ own.Phi.T
         if self.M_H is not None:
-            Phi = self.discrete.Phi * scale / scale[:, None]
-            S = C @ Phi @ X @ Phi.T @ C.T + self.R_factor @ self.R_factor.T
+            S = own.C @ X @ own.C.T + self.R_factor @ self.R_factor.T
             return np.asarray(np.sqrt(np.diag(self.M_H @ S @ self.M_H.T)))
-        if ahead:
-            Phi = self.discrete.Phi * scale / scale[:, None]
-            X = Phi @ X @ Phi.T
-        return np.asarray(np.sqrt(np.diag(select @ X @ select.T)))
+        return np.asarray(np.sqrt(np.diag(own.selector @ X @ own.selector.T)))
 
     def bias_gain(self, *, ahead: bool = False) -> Array:
         """Return |E| (q2,q2): the constant error of d̂_i where d_j's r-th derivative (the first, for r = 0) is one."""
-        scale, F, K, C, select = self._scaled()
-        identity = np.eye(len(F))
-        drive = self.discrete.drive / scale[:, None]
+        own = self._own
+        identity = np.eye(len(own.F))
         if self.M_H is not None:
-            return np.abs(self._ramp_error(scale, drive))
-        error = np.linalg.solve(identity - F, (identity - K @ C) @ drive)
+            return np.abs(self.M_H @ own.C @ self._ramp_error())
+        drive = own.inverse @ self.discrete.drive
+        error = np.linalg.solve(identity - own.F, own.update @ drive)
         if ahead:
-            error = (self.discrete.Phi * scale / scale[:, None]) @ error + drive
-        return np.asarray(np.abs(select @ error))
+            error = own.Phi @ error + drive
+        return np.asarray(np.abs(own.selector @ error))
 
     @cached_property
     def usual_innovation(self) -> Array:
         """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what samples show of it."""
-        scale, F, K, C, _ = self._scaled()
-        Phi = self.discrete.Phi * scale / scale[:, None]
-        identity = np.eye(len(F))
-        before_update = Phi @ (identity - K @ C)
+        own = self._own
         source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
-        return np.asarray(np.abs(C @ np.linalg.solve(identity - before_update, source / scale[:, None])))
+        error = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, own.inverse @ source)
+        return np.asarray(np.abs(own.C @ error))
 
-    def _ramp_error(self, scale: Array, drive: Array) -> Array:
-        """Return d̂ − d (q2,q2) for r = 0 and d = t in one channel each: x̃⁻ = a t/H + b follows its own recursion."""
-        system, H = self.system, self.discrete.H
-        K, C = self.K / scale[:, None], system.C * scale
-        Phi = self.discrete.Phi * scale / scale[:, None]
-        identity = np.eye(len(Phi))
-        F = Phi @ (identity - K @ C)
-        linear = system.linear
+    def _ramp_error(self) -> Array:
+        """Return b (n,q2) of the error before the update for r = 0 and d = t in one channel each, x̃⁻ = a t/H + b."""
+        own, H, linear = self._own, self.discrete.H, self.system.linear
         n, q_d = linear.G_d.shape
         # Over a step the ramp adds the integral of e^{A(H−s)} G s, which is the drive of a doubly integrated channel.
         chain = np.zeros((n + 2 * q_d, n + 2 * q_d))
         chain[:n, :n], chain[:n, n : n + q_d] = linear.A, linear.G_d
         chain[n : n + q_d, n + q_d :] = np.eye(q_d)
-        sampled = exponential(chain * H)[:n]
+        sampled = own.inverse @ exponential(chain * H)[:n]
         from_d, from_rate = sampled[:, n : n + q_d], sampled[:, n + q_d :]
-        a = np.linalg.solve(identity - F, from_d / scale[:, None] * H)
-        b = np.linalg.solve(identity - F, from_rate / scale[:, None] - a)
-        assert self.M_H is not None
-        return np.asarray(self.M_H @ C @ b)
+        unsettled = np.eye(n) - own.Phi @ own.update
+        a = np.linalg.solve(unsettled, from_d * H)
+        return np.asarray(np.linalg.solve(unsettled, from_rate - a))
 
-    def _scaled(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Return scale, F, K, C and the selector in states of size one, where solving loses no digits."""
-        scale = np.linalg.norm(self.rest.factor, axis=1)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        select = self.system.selector if self.system.selector is not None else np.zeros((0, len(scale)))
-        return (
-            scale,
-            self.error_dynamics * scale / scale[:, None],
-            self.K / scale[:, None],
-            self.system.C * scale,
-            select * scale,
-        )
+    @cached_property
+    def _own(self) -> _Own:
+        return _own(self.system, self.discrete, self.rest)
+
+
+@dataclass(frozen=True)
+class _Own:
+    """Φ, K, C and the selector in coordinates ξ = T z in which P is I, where solving loses no digits; T⁻¹ (N,N)."""
+
+    inverse: Array
+    Phi: Array
+    K: Array
+    C: Array
+    selector: Array
+
+    @cached_property
+    def update(self) -> Array:
+        """I − K C (N,N)."""
+        return np.eye(len(self.K)) - self.K @ self.C
+
+    @cached_property
+    def F(self) -> Array:
+        """(I − K C) Φ (N,N)."""
+        return self.update @ self.Phi
+
+
+def _own(system: Augmented, discrete: Discrete, rest: Update) -> _Own:
+    T, inverse = own_coordinates(rest.factor)
+    selector = np.zeros((0, len(T))) if system.selector is None else system.selector
+    return _Own(
+        inverse=inverse, Phi=inverse @ discrete.Phi @ T, K=inverse @ rest.K, C=system.C @ T, selector=selector @ T
+    )
 
 
 def sampled_design(
@@ -137,7 +152,7 @@ def sampled_design(
         R_factor=R_factor,
         prior_factor=prior_factor,
         rest=rest,
-        M_H=_dc_inverse(system, discrete, rest.K) if system.order == 0 else None,
+        M_H=_dc_inverse(system, discrete, rest) if system.order == 0 else None,
     )
 
 
@@ -148,8 +163,8 @@ def scaled_noise(discrete: Discrete, intensities: Intensities) -> Array:
     return np.hstack([discrete.noise_factor * columns, np.sqrt(intensities.f) * discrete.f_noise_factor])
 
 
-def _dc_inverse(system: Augmented, discrete: Discrete, K: Array) -> Array:
+def _dc_inverse(system: Augmented, discrete: Discrete, rest: Update) -> Array:
     """Return M_H (q2,p): the rows for d of [C (I − Φ (I − K C))⁻¹ Γ]⁻¹, the left inverse where p > q."""
-    identity = np.eye(len(K))
-    response = system.C @ np.linalg.solve(identity - discrete.Phi @ (identity - K @ system.C), discrete.drive)
-    return np.asarray(system.linear.selector @ np.linalg.pinv(response))
+    own = _own(system, discrete, rest)
+    settled = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, own.inverse @ discrete.drive)
+    return np.asarray(system.linear.selector @ np.linalg.pinv(own.C @ settled))

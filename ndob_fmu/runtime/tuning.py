@@ -53,8 +53,10 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
             design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
         except DesignError:  # at the far ends of the range; if it is everywhere, the final design says so
             return np.inf
-        bias, noise = predicted_error(design, known.disturbance_rate)
-        return float(np.log(np.sum((bias + noise) / known.disturbance_bound)))
+        with np.errstate(invalid="ignore"):
+            bias, noise = predicted_error(design, known.disturbance_rate)
+        total = float(np.sum((bias + noise) / known.disturbance_bound))
+        return float(np.log(total)) if np.isfinite(total) else np.inf
 
     def _at(bandwidth: float) -> Intensities:
         return at_bandwidth(system, H, bandwidth, known)
