@@ -1,7 +1,5 @@
 """`python -m ndob_fmu`."""
 
-import sys
+from ndob_fmu.cli import run_and_leave
 
-from ndob_fmu.cli import main
-
-sys.exit(main())
+run_and_leave()

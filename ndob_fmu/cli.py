@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from ndob_fmu import __version__
 from ndob_fmu.errors import NdobError, UsageError
@@ -31,6 +33,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("ndob-fmu: interrupted, nothing was written", file=sys.stderr)
         return 130
     return code
+
+
+def run_and_leave() -> NoReturn:
+    """Run one command and end the process with its exit code.
+
+    Without Python's own end: the static state of pythonfmu's binary, loaded with an FMU, is used then after being freed
+    and may abort the process although all went well. Every file is closed by now.
+    """
+    try:
+        code = main()
+    except SystemExit as end:  # argparse's --help, --version and usage errors
+        code = end.code if isinstance(end.code, int) else 0
+    with suppress(OSError):  # a reader that has gone, as in `ndob-fmu design … | head`
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
 
 
 def _check(options: argparse.Namespace) -> int:

@@ -10,6 +10,8 @@ from pathlib import Path
 # An FMU brings its own code and needs NumPy; these would be found in the environment of the tests, but not elsewhere.
 _ABSENT = ("ndob_fmu", "fmus", "scipy", "sympy", "pint", "matplotlib")
 _HIDE = f"import sys; sys.modules.update(dict.fromkeys({_ABSENT!r}));"
+# pythonfmu's static state can abort a process as it exits, after a correct run; what ran to its end leaves before that.
+_LEAVE = "\nimport os, sys; sys.stdout.flush(); sys.stderr.flush(); os._exit(0)\n"
 _KEPT = ("PATH", "HOME", "LANG", "TMPDIR", "SYSTEMROOT", "TEMP")
 ENVIRONMENT = {name: os.environ[name] for name in _KEPT if name in os.environ}
 
@@ -19,7 +21,7 @@ def run_clean(
 ) -> subprocess.CompletedProcess[str]:
     """Run a Python program with these words as its command line; the package cannot be imported there."""
     return subprocess.run(
-        [sys.executable, "-I", "-c", f"{_HIDE}{program}", *map(str, arguments)],
+        [sys.executable, "-I", "-c", f"{_HIDE}{program}{_LEAVE}", *map(str, arguments)],
         cwd=cwd,
         env=ENVIRONMENT,
         capture_output=True,
