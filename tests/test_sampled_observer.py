@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import MODELS
+from problems import MODELS, RANDOM, to_model
 
 from ndob_fmu.errors import DesignError
 from ndob_fmu.runtime.disturbance import KINDS, Generator
@@ -126,6 +126,17 @@ def test_random_sines_of_the_class_stay_within_what_the_design_predicts(seed):
     late = run.time > 1.5
     predicted = observer.design(H).bias_gain()[0, 0] * rate
     assert np.abs(run.at_sample[late]).max() <= 1.3 * predicted + 1e-7
+
+
+@pytest.mark.parametrize("index", [0, 1, 3])
+@pytest.mark.parametrize("sigma", [0.0, 1e-9, 1e-6])
+def test_a_state_that_only_slow_zeros_forget_does_not_spoil_the_start(index, sigma):
+    """f is wrong as long as that state is, for thousands of steps; to trust it sooner makes |d̂| 10² to 10⁹."""
+    model = to_model(RANDOM[index].linear)
+    x0 = 0.3 * np.random.default_rng(1).normal(size=len(model.states))
+    for H, order in ((1e-3, 2), (1e-2, 3)):
+        run = Run(observer_of(model, order=order, noise_std=sigma), sine(1.0, 2.0), H, 150 * H, sigma=sigma, x0=x0)
+        assert np.abs(run.d_hat).max() <= 3.0 * 2.0
 
 
 # -- examples

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -88,6 +89,17 @@ class SampledDesign:
         error = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, own.inverse @ source)
         return np.asarray(np.abs(own.C @ error))
 
+    def variance_of(self, states: Sequence[int]) -> float:
+        """Return the summed variance of these states' errors before a sample if f is wrong by one in each step, white.
+
+        At rest, and infinite where there is none.
+        """
+        own = self._own
+        X = covariance_of(own.Phi @ own.update, own.inverse @ self.discrete.held_f)
+        rows = own.T[list(states)]
+        with np.errstate(invalid="ignore"):
+            return float(np.nan_to_num(np.sum((rows @ X) * rows), nan=np.inf))
+
     def _ramp_error(self) -> Array:
         """Return b (n,q2) of the error before the update for r = 0 and d = t in one channel each, x̃⁻ = a t/H + b."""
         own, H, linear = self._own, self.discrete.H, self.system.linear
@@ -109,8 +121,9 @@ class SampledDesign:
 
 @dataclass(frozen=True)
 class _Own:
-    """Φ, K, C and the selector in coordinates ξ = T z in which P is I, where solving loses no digits; T⁻¹ (N,N)."""
+    """Φ, K, C and the selector in coordinates ξ = T z in which P is I, where solving loses no digits; T (N,N)."""
 
+    T: Array
     inverse: Array
     Phi: Array
     K: Array
@@ -132,7 +145,12 @@ def _own(system: Augmented, discrete: Discrete, rest: Update) -> _Own:
     T, inverse = own_coordinates(rest.factor)
     selector = np.zeros((0, len(T))) if system.selector is None else system.selector
     return _Own(
-        inverse=inverse, Phi=inverse @ discrete.Phi @ T, K=inverse @ rest.K, C=system.C @ T, selector=selector @ T
+        T=T,
+        inverse=inverse,
+        Phi=inverse @ discrete.Phi @ T,
+        K=inverse @ rest.K,
+        C=system.C @ T,
+        selector=selector @ T,
     )
 
 

@@ -34,7 +34,7 @@ _AT_REST = 1e-7
 # row it is the estimate that must be wrong: it starts anew.
 _GATE = 6.0
 _MOST_REFUSALS = 10
-# Steps per state after a start in which the error of f counts for more than the stationary design has in it.
+# Steps per state after a start before which the gain is not frozen.
 _START_UP = 3
 
 
@@ -74,6 +74,7 @@ class SampledObserver:
     pi: float
     _tuned: Latest[Intensities] = field(default_factory=Latest, repr=False, compare=False)
     _designed: Latest[SampledDesign] = field(default_factory=Latest, repr=False, compare=False)
+    _fades: Latest[bool] = field(default_factory=Latest, repr=False, compare=False)
     _steady_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
 
     def init(self, x_hat: Vector) -> SampledState:
@@ -141,9 +142,7 @@ class SampledObserver:
             d_hat = self._disturbance(xi_hat, design, measured.innovation_factor, start.residual)
         at_rest = used and age >= self._start_up
         at_rest = at_rest and (state.at_rest or gain_change(measured, design.rest) <= _AT_REST)
-        factor = design.prior_factor if at_rest else predict(factor, design.discrete.filter_phi, design.noise_factor)
-        if age < self._start_up:
-            factor = self._with_f_error(factor, design)
+        factor = design.prior_factor if at_rest else self._covariance_ahead(factor, design, age)
         xi_after = self._predicted(xi_hat, d_hat, inputs, H, coasting=not used)
         d_after = xi_after[self._n : self._n + len(d_hat)] if self.system.order else d_hat
         after = SampledState(
@@ -181,14 +180,24 @@ class SampledObserver:
     def _start_up(self) -> int:
         return _START_UP * len(self.system.A)
 
-    def _with_f_error(self, factor: Array, design: SampledDesign) -> Array:
-        """Add to the covariance what f(x) − f(x̂) may have done over the step, at most γ times the error of its states.
+    def _covariance_ahead(self, factor: Array, design: SampledDesign, age: int) -> Array:
+        """Return the covariance's factor (N,N) a step later, with what f(x) − f(x̂) may do meanwhile.
 
-        The stationary design has f's error in its intensities; at the start the estimate may be off by far more.
+        That is at most γ times the error of f's states, as far as it exceeds that at rest, which the intensities cover.
+        A state that nothing but the plant's zeros forgets keeps f wrong long after the rest is known. Where γ is so
+        large that this bound would feed itself for ever, it counts for the start only.
         """
+        ahead = predict(factor, design.discrete.filter_phi, design.noise_factor)
+        if age >= self._start_up and not self._f_error_fades(design):
+            return ahead
         f_states = list(self.equations.f_states)
-        f_error = self.equations.lipschitz * float(np.linalg.norm(factor[f_states]))
-        return predict(factor, np.eye(len(factor)), f_error * design.discrete.held_f)
+        excess = np.sum(ahead[f_states] ** 2) - np.sum(design.prior_factor[f_states] ** 2)
+        f_error = self.equations.lipschitz * float(np.sqrt(max(excess, 0.0)))
+        return predict(ahead, np.eye(len(ahead)), f_error * design.discrete.held_f)
+
+    def _f_error_fades(self, design: SampledDesign) -> bool:
+        gamma, f_states = self.equations.lipschitz, self.equations.f_states
+        return self._fades((design.discrete.H,), lambda: gamma**2 * design.variance_of(f_states) < 1.0)
 
     def _intensities(self, H: float) -> Intensities:
         if np.all(self.known.disturbance_rate > 0.0):
