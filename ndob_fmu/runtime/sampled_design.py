@@ -19,18 +19,23 @@ from ndob_fmu.runtime.riccati import Array
 class Intensities:
     """White noise that the design assumes: `disturbance` (q_d,) on w_d (on all of G for r = 0), `f` on f's channel.
 
-    Intensity is variance times time: a noise of intensity s, averaged over a step H, has the variance s/H.
+    Intensity is variance times time: a noise of intensity s, averaged over a step H, has the variance s/H. All of it
+    and the noise of the samples are taken to be `scale` times as large as they are, in standard deviations: this leaves
+    the gain at rest as it is, and sets what weighs how much against the uncertainty at the start.
     """
 
     disturbance: Array
     f: float
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
 class SampledDesign:
     """The stationary design. N = n + r q2; R = R_factor R_factorᵀ (p,p) is the noise of a sample.
 
-    prior_factor (N,N): of the covariance P⁻ before a sample; rest: the update there, with the gain K (N,p);
+    noise_factor (N,·) and sample_factor (p,p): of the noise over a step and in a sample as the covariance has them,
+    `intensities.scale` times as large as they are; prior_factor (N,N): of the covariance P⁻ before a sample; rest: the
+    update there, with the gain K (N,p);
     M_H (q2,p): d̂ = M_H e for r = 0, exact at DC; None for r ≥ 1, where d̂ is part of ξ̂.
     """
 
@@ -39,6 +44,7 @@ class SampledDesign:
     intensities: Intensities
     noise_factor: Array = field(repr=False)
     R_factor: Array = field(repr=False)
+    sample_factor: Array = field(repr=False)
     prior_factor: Array = field(repr=False)
     rest: Update = field(repr=False)
     M_H: Array | None
@@ -159,15 +165,16 @@ def sampled_design(
 ) -> SampledDesign:
     """Design the stationary gain for a step H > 0 s. Raises DesignError where it cannot be found."""
     discrete = discretise(system, H, alpha)
-    noise_factor = scaled_noise(discrete, intensities)
-    prior_factor = stationary(discrete.filter_phi, system.C, noise_factor, R_factor)
-    rest = update(prior_factor, system.C, R_factor)
+    noise_factor, sample_factor = scaled_noise(discrete, intensities), intensities.scale * R_factor
+    prior_factor = stationary(discrete.filter_phi, system.C, noise_factor, sample_factor)
+    rest = update(prior_factor, system.C, sample_factor)
     return SampledDesign(
         system=system,
         discrete=discrete,
         intensities=intensities,
         noise_factor=noise_factor,
         R_factor=R_factor,
+        sample_factor=sample_factor,
         prior_factor=prior_factor,
         rest=rest,
         M_H=_dc_inverse(system, discrete, rest) if system.order == 0 else None,
@@ -178,7 +185,8 @@ def scaled_noise(discrete: Discrete, intensities: Intensities) -> Array:
     """Return the factor (N,·) of the process noise's covariance over one step."""
     repeats = discrete.noise_factor.shape[1] // len(intensities.disturbance)
     columns = np.tile(np.sqrt(intensities.disturbance), repeats)
-    return np.hstack([discrete.noise_factor * columns, np.sqrt(intensities.f) * discrete.f_noise_factor])
+    noise = np.hstack([discrete.noise_factor * columns, np.sqrt(intensities.f) * discrete.f_noise_factor])
+    return np.asarray(intensities.scale * noise)
 
 
 def _dc_inverse(system: Augmented, discrete: Discrete, rest: Update) -> Array:

@@ -34,6 +34,8 @@ _AT_REST = 1e-7
 # row it is the estimate that must be wrong: it starts anew.
 _GATE = 6.0
 _MOST_REFUSALS = 10
+# The covariance of states whose sums are measured keeps no digit of a noise that is smaller than this part of theirs.
+_LEAST_NOISE = 1e-10
 # Steps per state after a start before which the gain is not frozen.
 _START_UP = 3
 
@@ -126,14 +128,14 @@ class SampledObserver:
         if not np.all(np.isfinite(inputs)):
             inputs = state.u
         start = self.estimate(state, y)
-        measured = design.rest if state.at_rest else update(state.factor, self.system.C, self.known.R_factor)
+        measured = design.rest if state.at_rest else update(state.factor, self.system.C, design.sample_factor)
         used, refused, age = start.valid, 0, state.age
         # Before it first comes to rest the covariance knows nothing of f's error, so that no sample can be implausible.
         judged = state.at_rest or state.refused > 0
         if used and judged and not self._plausible(start.residual, measured.innovation_factor, design):
             used, refused = False, state.refused + 1
             if refused > _MOST_REFUSALS:
-                measured = update(self._prior_factor(), self.system.C, self.known.R_factor)
+                measured = update(self._prior_factor(), self.system.C, design.sample_factor)
                 used, refused, age = True, 0, 0
 
         xi_hat, factor, d_hat = state.xi_hat, state.factor, state.d_hat
@@ -201,13 +203,18 @@ class SampledObserver:
 
     def _intensities(self, H: float) -> Intensities:
         if np.all(self.known.disturbance_rate > 0.0):
-            return tuned_intensities(self.system, H, self.alpha, self.known)
-        return from_pi(self.system, H, self.pi, self.known)
+            found = tuned_intensities(self.system, H, self.alpha, self.known)
+        else:
+            found = from_pi(self.system, H, self.pi, self.known)
+        largest = np.abs(self.system.linear.C) @ self.x_std
+        scale = float(np.max(_LEAST_NOISE * largest / np.diag(self.known.R_factor)))
+        return replace(found, scale=max(found.scale, scale))
 
     def _plausible(self, residual: Array, innovation_factor: Array, design: SampledDesign) -> bool:
         jump = np.abs(self.system.C[:, : self._n] @ design.discrete.held_disturbance) @ self.known.disturbance_bound
         usual = self.known.disturbance_rate if self.system.order else self.known.disturbance_bound
-        expected = _GATE * np.linalg.norm(innovation_factor, axis=1) + 2.0 * (jump + design.usual_innovation @ usual)
+        noise = np.linalg.norm(innovation_factor, axis=1) / design.intensities.scale
+        expected = _GATE * noise + 2.0 * (jump + design.usual_innovation @ usual)
         return bool(np.all(np.abs(residual) <= expected))
 
     def _disturbance(self, xi_hat: Array, design: SampledDesign, innovation_factor: Array, residual: Array) -> Array:

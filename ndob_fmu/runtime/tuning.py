@@ -12,7 +12,7 @@ observer follows the disturbance but passes the noise, a slow one the reverse. T
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,7 +46,11 @@ class Knowledge:
 
 
 def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledge) -> Intensities:
-    """Return the intensities that minimise J at the step H."""
+    """Return the intensities that minimise J at the step H, on the scale of the disturbance.
+
+    Where samples have hardly any noise only the ratio of the intensities counts, and no more once it is large. The
+    scale is such that white noise on w_d is in a step as large as D (for r = 0, on G, as D₀).
+    """
 
     def cost(log_bandwidth: float) -> float:
         try:
@@ -62,7 +66,10 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
         return at_bandwidth(system, H, bandwidth, known)
 
     best = _minimise(cost, np.log(_SLOWEST / H), np.log(_FASTEST / H))
-    return _at(float(np.exp(best)))
+    found = _at(float(np.exp(best)))
+    pace = known.disturbance_rate if system.order else known.disturbance_bound
+    scale = float(np.max(np.sqrt(H) * pace / np.sqrt(found.disturbance[-len(pace) :])))
+    return replace(found, scale=max(1.0, scale))
 
 
 def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
