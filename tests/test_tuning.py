@@ -123,12 +123,10 @@ def test_predicted_noise_and_bias_are_those_of_the_error_system_simulated(order)
     at_sample, ahead = _run(found, v, np.zeros(steps), H)
     late = slice(steps // 10, None)
     assert np.std(at_sample[late]) == pytest.approx(found.noise_std()[0], rel=0.1)
-    if order:
-        assert np.std(ahead[late]) == pytest.approx(found.noise_std(ahead=True)[0], rel=0.1)
+    assert np.std(ahead[late]) == pytest.approx(found.noise_std(ahead=True)[0], rel=0.1)
     at_sample, ahead = _run(found, np.zeros((1500, 2)), np.ones(1500), H)
     assert abs(at_sample[-1]) == pytest.approx(found.bias_gain()[0, 0], rel=1e-4)
-    if order:
-        assert abs(ahead[-1]) == pytest.approx(found.bias_gain(ahead=True)[0, 0], rel=1e-4)
+    assert abs(ahead[-1]) == pytest.approx(found.bias_gain(ahead=True)[0, 0], rel=1e-4)
 
 
 def _run(found, v, rate, H):

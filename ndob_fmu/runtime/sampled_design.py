@@ -80,7 +80,9 @@ class SampledDesign:
         own = self._own
         identity = np.eye(len(own.F))
         if self.M_H is not None:
-            return np.abs(self.M_H @ own.C @ self._ramp_error())
+            # A step later d̂ is still the one read at the sample.
+            lag = self.discrete.H * np.eye(len(self.M_H)) if ahead else 0.0
+            return np.abs(self.M_H @ own.C @ self._ramp_error() - lag)
         drive = own.inverse @ self.discrete.drive
         error = np.linalg.solve(identity - own.F, own.update @ drive)
         if ahead:
