@@ -297,6 +297,16 @@ def test_after_ten_refusals_it_is_the_estimate_that_starts_anew():
     assert max(errors[320:]) <= 0.02
 
 
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize(("noise_std", "H"), [(1e-7, 1e-3), (1e-6, 1e-3), (1e-5, 1e-3), (1e-6, 5e-3), (1e-5, 5e-3)])
+def test_no_sample_after_a_jump_of_the_disturbance_is_taken_for_a_bad_one(order, noise_std, H):
+    """What a jump within the bound leads to grows from sample to sample until the observer catches up."""
+    observer = observer_of(order=order, noise_std=noise_std, bound=[5.0], rate=[SINE**order])
+    for amplitude, at in ((2.0, 0.4 + 0.3 * H), (10.0, 0.4 + 0.5 * H)):
+        run = Run(observer, [Generator(KINDS["step"], amplitude, 0.0, at)], H, 0.6, sigma=noise_std)
+        assert run.valid.all()
+
+
 def test_an_input_that_is_not_finite_is_replaced_by_the_last_one():
     observer = observer_of()
     state = observer.init(FLEXIBLE.equations.xhat0)

@@ -14,6 +14,12 @@ from ndob_fmu.runtime.exponential import exponential
 from ndob_fmu.runtime.kalman import Update, covariance_of, own_coordinates, stationary, update
 from ndob_fmu.runtime.riccati import Array
 
+# The response to a jump counts as decayed where the error has come this near to its end, of the way that it was from
+# it, and is not followed further than so many samples; the jump is tried at these parts of its step.
+_DECAYED = 0.01
+_LONGEST_RESPONSE = 200
+_INSTANTS = (0.0, 0.25, 0.5, 0.75)
+
 
 @dataclass(frozen=True)
 class Intensities:
@@ -42,6 +48,7 @@ class SampledDesign:
     system: Augmented
     discrete: Discrete
     intensities: Intensities
+    alpha: float
     noise_factor: Array = field(repr=False)
     R_factor: Array = field(repr=False)
     sample_factor: Array = field(repr=False)
@@ -96,6 +103,31 @@ class SampledDesign:
         source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
         error = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, own.inverse @ source)
         return np.asarray(np.abs(own.C @ error))
+
+    @cached_property
+    def jump_responses(self) -> Array:
+        """Return |y − C ξ̂⁻| (i,J+1,p,q2) around a jump of d by one, at rest before: a row 0, then the samples after it.
+
+        Each i is another instant of the jump within its step. J is where they have decayed, 200 at most.
+        """
+        own, n, order = self._own, len(self.system.linear.A), self.system.order
+        q = self.discrete.held_disturbance.shape[1]
+
+        def error_after(duration: float) -> Array:
+            since = discretise(self.system, duration, self.alpha)
+            return own.inverse @ (since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
+
+        errors = np.array([error_after((1.0 - instant) * self.discrete.H) for instant in _INSTANTS])
+        lasting = error_after(self.discrete.H) if order == 0 else np.zeros((n + order * q, q))
+        settled = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, lasting)
+        responses = [np.zeros((len(errors), len(own.C), q)), own.C @ errors]
+        distance = largest = np.linalg.norm(errors - settled)
+        while distance > _DECAYED * largest and len(responses) <= _LONGEST_RESPONSE:
+            errors = own.Phi @ (own.update @ errors) + lasting
+            responses.append(own.C @ errors)
+            distance = np.linalg.norm(errors - settled)
+            largest = max(largest, distance)
+        return np.asarray(np.abs(np.stack(responses, axis=1)))
 
     def variance_of(self, states: Sequence[int]) -> float:
         """Return the summed variance of these states' errors before a sample if f is wrong by one in each step, white.
@@ -174,6 +206,7 @@ def sampled_design(
         system=system,
         discrete=discrete,
         intensities=intensities,
+        alpha=alpha,
         noise_factor=noise_factor,
         R_factor=R_factor,
         sample_factor=sample_factor,

@@ -30,8 +30,8 @@ ORDERS = (0, 1, 2, 3)
 _SIMILAR_STEP = 0.1
 _AT_REST = 1e-7
 # A sample is refused where it lies further from its prediction than this many standard deviations, twice what the class
-# of disturbances always does, and what a jump of d by 2 D₀ could do in a step, together. After so many refusals in a
-# row it is the estimate that must be wrong: it starts anew.
+# of disturbances always does, and what a jump of d by 2 D₀ could have led to since the sample before, together. After
+# so many refusals in a row it is the estimate that must be wrong: it starts anew.
 _GATE = 6.0
 _MOST_REFUSALS = 10
 # The covariance of states whose sums are measured keeps no digit of a noise that is smaller than this part of theirs.
@@ -46,7 +46,8 @@ class SampledState:
 
     xi_hat (N,): ξ̂⁻; factor (N,N): of its covariance; d_hat and d_std (q2,); at_rest: whether the gain is frozen;
     tuned_at: the step (s) that the intensities were tuned for, 0 before the first one; refused: samples refused in a
-    row; age: steps since the start, as far as they count; u (m,): the last finite input.
+    row; age: steps since the start, as far as they count; u (m,): the last finite input; deviation (p,): how far the
+    last sample lay from its prediction, or could have lain where it was not used.
     """
 
     xi_hat: Array
@@ -58,6 +59,7 @@ class SampledState:
     refused: int
     age: int
     u: Array
+    deviation: Array
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ class SampledObserver:
             refused=0,
             age=0,
             u=np.zeros(self.system.linear.B.shape[1]),
+            deviation=np.full(len(self.system.C), np.inf),
         )
 
     def design(self, H: float, tuned_at: float | None = None) -> SampledDesign:
@@ -132,8 +135,14 @@ class SampledObserver:
         used, refused, age = start.valid, 0, state.age
         # Before it first comes to rest the covariance knows nothing of f's error, so that no sample can be implausible.
         judged = state.at_rest or state.refused > 0
-        if used and judged and not self._plausible(start.residual, measured.innovation_factor, design):
-            used, refused = False, state.refused + 1
+        deviation = np.abs(start.residual)
+        if judged and not (used and np.all(deviation <= self._usual_deviation(measured.innovation_factor, design))):
+            plausible = self._plausible_deviation(state.deviation, measured.innovation_factor, design)
+            implausible = used and not np.all(deviation <= plausible)
+            if implausible:
+                used, refused = False, state.refused + 1
+            if not used:
+                deviation = plausible
             if refused > _MOST_REFUSALS:
                 measured = update(self._prior_factor(), self.system.C, design.sample_factor)
                 used, refused, age = True, 0, 0
@@ -157,6 +166,7 @@ class SampledObserver:
             refused=refused,
             age=min(age + 1, self._start_up),
             u=inputs,
+            deviation=deviation,
         )
         return after, Estimate(
             x_hat=xi_after[: self._n],
@@ -210,12 +220,25 @@ class SampledObserver:
         scale = float(np.max(_LEAST_NOISE * largest / np.diag(self.known.R_factor)))
         return replace(found, scale=max(found.scale, scale))
 
-    def _plausible(self, residual: Array, innovation_factor: Array, design: SampledDesign) -> bool:
-        jump = np.abs(self.system.C[:, : self._n] @ design.discrete.held_disturbance) @ self.known.disturbance_bound
+    def _usual_deviation(self, innovation_factor: Array, design: SampledDesign) -> Array:
+        """Return what noise and the class of disturbances bring about in samples (p,) without any jump."""
         usual = self.known.disturbance_rate if self.system.order else self.known.disturbance_bound
         noise = np.linalg.norm(innovation_factor, axis=1) / design.intensities.scale
-        expected = _GATE * noise + 2.0 * (jump + design.usual_innovation @ usual)
-        return bool(np.all(np.abs(residual) <= expected))
+        return np.asarray(_GATE * noise + 2.0 * design.usual_innovation @ usual)
+
+    def _plausible_deviation(self, last: Array, innovation_factor: Array, design: SampledDesign) -> Array:
+        """Return the largest deviation (p,) that a jump of d by 2 D₀ at most explains, after the one seen last (p,).
+
+        A jump shows in sample after sample, and more in each until the observer catches up. One j samples ago has been
+        no larger than the last sample admits, whose noise may have hidden part of it.
+        """
+        usual = self._usual_deviation(innovation_factor, design)
+        responses, largest = design.jump_responses, 2.0 * self.known.disturbance_bound
+        with np.errstate(divide="ignore"):
+            admitted = np.min((last + usual)[:, None] / responses[:, :-1], axis=2)
+        jumps = np.minimum(admitted, largest)
+        now = np.einsum("ijpq,ijq->ijpq", responses[:, 1:], jumps)
+        return np.asarray(usual + np.max(now, axis=(0, 1)).sum(axis=1))
 
     def _disturbance(self, xi_hat: Array, design: SampledDesign, innovation_factor: Array, residual: Array) -> Array:
         """Return d̂ (q2,) after an update; for r = 0 the output error counts by how credible it is against rest."""
