@@ -8,7 +8,7 @@ import tempfile
 import uuid
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from ndob_fmu.assumptions import check
 from ndob_fmu.emit import emit_python
 from ndob_fmu.fmu.bundle import bundle
 from ndob_fmu.fmu.description import complete
+from ndob_fmu.fmu.extras import Part, extras
 from ndob_fmu.model import Model
 from ndob_fmu.results import atomic_path
 from ndob_fmu.runtime.interface import Variable, observer_variables, plant_variables
@@ -35,22 +36,14 @@ def build(model: Model, out: str | Path = "build/fmus") -> tuple[Path, Path]:
     folder = Path(out)
     text = emit_python(model)
     return (
-        _build(f"{model.name}Plant", "plant_slave", "PlantSlave", text, plant_variables(model.equations), folder),
-        _build(
-            f"{model.name}Observer",
-            "observer_slave",
-            "ObserverSlave",
-            text,
-            observer_variables(model.equations),
-            folder,
-        ),
+        _build(model, "Plant", plant_variables(model.equations), text, folder),
+        _build(model, "Observer", observer_variables(model.equations), text, folder),
     )
 
 
-def _build(
-    name: str, slave_module: str, slave_class: str, equations_text: str, variables: tuple[Variable, ...], folder: Path
-) -> Path:
-    content = bundle(name, slave_module, slave_class, equations_text)
+def _build(model: Model, part: Part, variables: tuple[Variable, ...], equations_text: str, folder: Path) -> Path:
+    name = f"{model.name}{part}"
+    content = bundle(name, f"{part.lower()}_slave", f"{part}Slave", equations_text)
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, _imports_undone(work):
         source = Path(work, "source")
         for relative, text in content.files.items():
@@ -60,27 +53,36 @@ def _build(
         carried = {source / Path(relative).parts[0] for relative in content.files if relative != content.entry}
         stock = FmuBuilder.build_FMU(source / content.entry, dest=work, project_files=sorted(carried))
         with atomic_path(folder / f"{name}.fmu") as target:
-            _repack(stock, target, variables)
+            _repack(stock, target, variables, extras(model, part, variables))
     return folder / f"{name}.fmu"
 
 
-def _repack(stock: Path, target: Path, variables: tuple[Variable, ...]) -> None:
-    """Copy the archive with its description completed, in a fixed order, with fixed times, compressed."""
+def _repack(stock: Path, target: Path, variables: tuple[Variable, ...], added: Mapping[str, bytes]) -> None:
+    """Copy the archive with its description completed and files added, in a fixed order and with fixed times."""
     with zipfile.ZipFile(stock) as source, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
-        contents = {name: source.read(name) for name in sorted(source.namelist())}
-        root = ET.fromstring(contents["modelDescription.xml"])
-        root.attrib.pop("generationDateAndTime", None)
-        root.set("guid", "")
-        identity = hashlib.sha256(ET.tostring(root))
-        for name, data in contents.items():
-            if name != "modelDescription.xml":
-                identity.update(data)
-        complete(root, variables, guid=f"{{{uuid.uuid5(uuid.NAMESPACE_OID, identity.hexdigest())}}}")
+        contents = {name: source.read(name) for name in source.namelist()}
+        root = complete(ET.fromstring(contents["modelDescription.xml"]), variables)
+        root.set("guid", _guid(root, contents))
         contents["modelDescription.xml"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-        for name, data in contents.items():
+        contents |= added
+        for name in sorted(contents):
             entry = zipfile.ZipInfo(name, _FIXED_TIME)
             entry.compress_type = zipfile.ZIP_DEFLATED
-            packed.writestr(entry, data)
+            entry.create_system, entry.external_attr = 3, 0o100644 << 16  # as from Unix, wherever the build runs
+            packed.writestr(entry, contents[name])
+
+
+def _guid(root: ET.Element, contents: Mapping[str, bytes]) -> str:
+    """Return the identity of what the FMU computes: of its description and of the Python that it runs.
+
+    Compiled binaries, the interpreter that the build recorded for them, the manual and the icon are left out: they
+    differ from machine to machine, and a master that compares GUIDs would take the same model for another one.
+    """
+    whole = hashlib.sha256(ET.tostring(root))
+    for name in sorted(contents):
+        if name.startswith("resources/") and name.endswith(".py"):
+            whole.update(f"\0{name}\0".encode() + contents[name])
+    return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, whole.hexdigest())}}}"
 
 
 @contextmanager

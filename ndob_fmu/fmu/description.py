@@ -28,13 +28,13 @@ _BASE_UNITS = {
 }
 
 
-def complete(root: ET.Element, variables: Sequence[Variable], guid: str) -> ET.Element:
+def complete(root: ET.Element, variables: Sequence[Variable]) -> ET.Element:
     """Complete the `fmiModelDescription` element in place and return it.
 
-    `guid` replaces pythonfmu's random one and the date is left out, so that the same model gives the same bytes.
-    Raises ModelError for a unit that is not one.
+    pythonfmu's random GUID and the date are left out, so that the same model gives the same bytes; the build sets its
+    own GUID afterwards. Raises ModelError for a unit that is not one.
     """
-    root.set("guid", guid)
+    root.set("guid", "")
     root.attrib.pop("generationDateAndTime", None)
     root.set("generationTool", "ndob-fmu, with " + root.get("generationTool", "PythonFMU"))
     position = list(root).index(_child(root, "LogCategories"))
