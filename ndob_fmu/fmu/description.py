@@ -9,12 +9,14 @@ from __future__ import annotations
 import functools
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import pint
 
+import ndob_fmu
 from ndob_fmu.errors import ModelError
-from ndob_fmu.runtime.interface import Variable
+from ndob_fmu.runtime.disturbance import KINDS
+from ndob_fmu.runtime.interface import METHODS, Variable
 
 _BASE_UNITS = {
     "kilogram": "kg",
@@ -27,6 +29,61 @@ _BASE_UNITS = {
     "radian": "rad",
 }
 
+# What an importer can count on, beside what pythonfmu says. A tool that needs an execution tool would be a link to one
+# that has the model; here the model is inside, and Python is among the external dependencies.
+_CAPABILITIES = {
+    "needsExecutionTool": "false",
+    "canHandleVariableCommunicationStepSize": "true",
+    "canInterpolateInputs": "false",
+    "maxOutputDerivativeOrder": "0",
+    "canRunAsynchronuously": "false",
+    "canBeInstantiatedOnlyOncePerProcess": "false",
+    "canGetAndSetFMUstate": "true",
+    "canSerializeFMUstate": "true",
+    "providesDirectionalDerivative": "false",
+}
+
+# Modelica's names. A unit that stands for several quantities, like N.m for energy too, has the one that plants mean.
+_QUANTITIES = {
+    "A": "ElectricCurrent",
+    "Hz": "Frequency",
+    "K": "Temperature",
+    "N": "Force",
+    "N.m": "Torque",
+    "N.m.s/rad": "RotationalDampingConstant",
+    "N.m/rad": "RotationalSpringConstant",
+    "N.s/m": "TranslationalDampingConstant",
+    "N/m": "TranslationalSpringConstant",
+    "Ohm": "Resistance",
+    "Pa": "Pressure",
+    "V": "Voltage",
+    "W": "Power",
+    "kg": "Mass",
+    "kg.m2": "MomentOfInertia",
+    "m": "Length",
+    "m/s": "Velocity",
+    "m/s2": "Acceleration",
+    "m2": "Area",
+    "m3": "Volume",
+    "m3/s": "VolumeFlowRate",
+    "rad": "Angle",
+    "rad/s": "AngularVelocity",
+    "rad/s2": "AngularAcceleration",
+    "s": "Time",
+}
+
+_ENUMERATIONS: Mapping[str, Mapping[str, int]] = {"DisturbanceKind": KINDS, "Method": METHODS}
+_ITEM_DESCRIPTIONS = {
+    "none": "d = 0",
+    "constant": "amplitude at all times",
+    "ramp": "amplitude times the time since start_time",
+    "sine": "amplitude sin(2 pi frequency (t - start_time)) from start_time on",
+    "step": "amplitude from start_time on",
+    "chirp": "a sine whose frequency rises from 0 to frequency in 10 s and stays there",
+    "paper": "the paper's observer, eqs. (22) to (24), integrated inside the step",
+    "sampled_data": "the sampled-data design, exact at the communication points",
+}
+
 
 def complete(root: ET.Element, variables: Sequence[Variable]) -> ET.Element:
     """Complete the `fmiModelDescription` element in place and return it.
@@ -36,14 +93,17 @@ def complete(root: ET.Element, variables: Sequence[Variable]) -> ET.Element:
     """
     root.set("guid", "")
     root.attrib.pop("generationDateAndTime", None)
-    root.set("generationTool", "ndob-fmu, with " + root.get("generationTool", "PythonFMU"))
+    tool = root.get("generationTool", "PythonFMU")
+    root.set("generationTool", f"ndob-fmu {ndob_fmu.__version__}, with {tool}")
+    _child(root, "CoSimulation").attrib.update(_CAPABILITIES)
+    type_names = _type_names(variables)
     position = list(root).index(_child(root, "LogCategories"))
-    for element in (_unit_definitions(variables), _type_definitions(variables)):
+    for element in (_unit_definitions(variables), _type_definitions(type_names)):
         if len(element):
             root.insert(position, element)
             position += 1
     for element, variable in zip(_child(root, "ModelVariables"), variables, strict=True):
-        _complete_variable(element, variable)
+        _complete_variable(element, variable, type_names)
     structure = _child(root, "ModelStructure")
     structure.clear()
     _list_unknowns(structure, variables)
@@ -51,12 +111,12 @@ def complete(root: ET.Element, variables: Sequence[Variable]) -> ET.Element:
     return root
 
 
-def _complete_variable(element: ET.Element, variable: Variable) -> None:
+def _complete_variable(element: ET.Element, variable: Variable, type_names: Mapping[str, str]) -> None:
     typed = element[0]
     if variable.items is not None:
         typed.tag = "Enumeration"
-        typed.set("declaredType", _type_name(variable))
     for attribute, value in (
+        ("declaredType", type_names.get(_type_key(variable))),
         ("unit", variable.unit or None),
         ("min", variable.minimum),
         ("max", variable.maximum),
@@ -122,23 +182,44 @@ def _base_unit(name: str) -> dict[str, str] | None:
     return attributes
 
 
-def _type_definitions(variables: Iterable[Variable]) -> ET.Element:
+def _type_definitions(type_names: Mapping[str, str]) -> ET.Element:
     definitions = ET.Element("TypeDefinitions")
-    written = set()
-    for variable in variables:
-        name = _type_name(variable)
-        if variable.items is None or name in written:
-            continue
-        written.add(name)
+    for key, name in type_names.items():
         simple = ET.SubElement(definitions, "SimpleType", {"name": name})
-        enumeration = ET.SubElement(simple, "Enumeration")
-        for item, value in variable.items.items():
-            ET.SubElement(enumeration, "Item", {"name": item, "value": str(value)})
+        if key in _ENUMERATIONS:
+            items = ET.SubElement(simple, "Enumeration")
+            for item, value in _ENUMERATIONS[key].items():
+                text = _ITEM_DESCRIPTIONS[item]
+                ET.SubElement(items, "Item", {"name": item, "value": str(value), "description": text})
+        else:
+            quantity = {"quantity": _QUANTITIES[key]} if key in _QUANTITIES else {}
+            ET.SubElement(simple, "Real", quantity | {"unit": key})
     return definitions
 
 
-def _type_name(variable: Variable) -> str:
-    return "Method" if variable.name == "method" else "DisturbanceKind"
+def _type_names(variables: Sequence[Variable]) -> dict[str, str]:
+    """Return the name of the type of every unit and enumeration in use; none is also the name of a variable."""
+    taken = {variable.name for variable in variables}
+    names: dict[str, str] = {}
+    for key in sorted({_type_key(variable) for variable in variables} - {""}):
+        name = key if key in _ENUMERATIONS else _QUANTITIES.get(key) or "Unit_" + _as_identifier(key)
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        names[key] = name
+    return names
+
+
+def _type_key(variable: Variable) -> str:
+    """Return what a variable's declared type goes by: its unit, or the name of its enumeration; "" for no type."""
+    for name, items in _ENUMERATIONS.items():
+        if variable.items == items:
+            return name
+    return variable.unit
+
+
+def _as_identifier(unit: str) -> str:
+    return re.sub(r"\W+", "_", unit.replace("/", "_per_")).strip("_")
 
 
 def _child(root: ET.Element, tag: str) -> ET.Element:

@@ -63,8 +63,8 @@ def plant_variables(eq: Equations) -> tuple[Variable, ...]:
     outputs = [_signal(eq, name, "output", None, "Measured output") for name in eq.outputs]
     outputs += [_signal(eq, name, "output", None, "State") for name in eq.states if name not in eq.outputs]
     outputs += [
-        _output(eq, f"{name}_total", name, f"Generator plus input {name}, at the end of the step", (name,))
-        for name in eq.disturbances
+        _output(eq, f"{name}_total", name, f"Generator plus input {name}, at the end of the step", (name,), bound)
+        for name, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
     ]
     starts = [
         _parameter(f"{name}_start", value, f"Start value of {name}", unit=_unit(eq, name))
@@ -84,7 +84,10 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         ("at_sample", "Estimate of {} for the sample that the step began with", eq.outputs),
         ("std", "One-sigma error bar of {}_hat", ()),
     ):
-        outputs += [_output(eq, f"{d}_{suffix}", d, text.format(d), depends_on) for d in eq.disturbances]
+        outputs += [
+            _output(eq, f"{d}_{suffix}", d, text.format(d), depends_on, bound)
+            for d, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
+        ]
     outputs += [
         _output(eq, f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,))
         for y in eq.outputs
@@ -222,13 +225,27 @@ def _parameter(
         unit=unit,
         minimum=minimum,
         maximum=maximum,
-        nominal=abs(start) if type_ == "Real" and abs(start) >= 1e3 else None,
+        nominal=abs(start) if type_ == "Real" and not 1e-3 < (abs(start) or 1.0) < 1e3 else None,
         items=items,
     )
 
 
-def _output(eq: Equations, name: str, of: str, description: str, depends_on: tuple[str, ...] = ()) -> Variable:
-    return Variable(name=name, causality="output", description=description, unit=_unit(eq, of), depends_on=depends_on)
+def _output(
+    eq: Equations,
+    name: str,
+    of: str,
+    description: str,
+    depends_on: tuple[str, ...] = (),
+    nominal: float | None = None,
+) -> Variable:
+    return Variable(
+        name=name,
+        causality="output",
+        description=description,
+        unit=_unit(eq, of),
+        depends_on=depends_on,
+        nominal=nominal,
+    )
 
 
 def _signal(eq: Equations, name: str, causality: str, start: float | None, role: str) -> Variable:
