@@ -19,6 +19,7 @@ from ndob_fmu.emit import emit_python
 from ndob_fmu.fmu.bundle import bundle
 from ndob_fmu.fmu.description import complete
 from ndob_fmu.fmu.extras import Part, extras
+from ndob_fmu.fmu.front import with_front
 from ndob_fmu.model import Model
 from ndob_fmu.results import atomic_path
 from ndob_fmu.runtime.interface import Variable, observer_variables, plant_variables
@@ -64,7 +65,7 @@ def _repack(stock: Path, target: Path, variables: tuple[Variable, ...], added: M
         root = complete(ET.fromstring(contents["modelDescription.xml"]), variables)
         root.set("guid", _guid(root, contents))
         contents["modelDescription.xml"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-        contents |= added
+        contents = with_front(contents, root) | dict(added)
         for name in sorted(contents):
             entry = zipfile.ZipInfo(name, _FIXED_TIME)
             entry.compress_type = zipfile.ZIP_DEFLATED

@@ -1,0 +1,137 @@
+/* The front: the library that a host loads as the FMU's binary, between the host and pythonfmu's.
+ *
+ * It finds and starts Python where the host has none, decodes the resource location, guards the calls that pythonfmu
+ * forwards unseen, and hands everything else on. One instance is an Instance, known to the host by a handle that
+ * cannot be confused with a freed one. */
+#ifndef NDOB_FRONT_H
+#define NDOB_FRONT_H
+
+#include "fmi2Functions.h"
+
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* The FMI 2.0 state machine for co-simulation, as a set of bits so that a call can name all modes it is allowed in. */
+typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, LOST = 16 } Mode;
+#define ANY_MODE ((unsigned)(INSTANTIATED | INITIALIZATION | STEPPING | TERMINATED))
+
+/* -- description.c: resources/front.txt, which the build writes */
+
+typedef struct {
+    char type; /* R, I (and enumerations), B, S */
+    char role; /* i input, f fixed parameter, t tunable parameter, o what is calculated */
+    const char *name;
+} Variable;
+
+typedef struct {
+    char *text; /* the file; the strings below lie in it */
+    const char *guid, *executable, *library, *packages;
+    Variable *variables; /* by value reference */
+    size_t count;
+} Description;
+
+/* Decode a resource location into the absolute path of a folder that holds front.txt (malloc), or return NULL with the
+ * reason. */
+char *resources_folder(const char *location, char *reason, size_t size);
+bool description_read(Description *description, const char *folder, char *reason, size_t size);
+void description_free(Description *description);
+
+/* -- python.c */
+
+/* Have a running Python with NumPy in the process; else false with one line of reasons. `warning` gets what the user
+ * should know although all is well, or stays empty. */
+bool python_start(const Description *description, char *reason, size_t size, char *warning, size_t warning_size);
+bool python_alive(void);
+/* Keep the calling thread's thread state from now on, instead of a new one for each call. */
+void python_keep_thread(void);
+void python_drop_thread(void);
+void python_leave(void);
+
+/* -- log.c */
+
+typedef struct {
+    fmi2CallbackLogger logger;
+    fmi2ComponentEnvironment environment;
+    char *name;
+    bool on;
+    unsigned categories; /* bits by status */
+    fmi2Status worst; /* of the present call */
+} Log;
+
+#define ALL_CATEGORIES (~0u)
+
+__attribute__((format(printf, 3, 4))) void log_line(Log *log, fmi2Status status, const char *format, ...);
+/* The logger that pythonfmu gets, with a Log as its environment. */
+void log_from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
+                    fmi2String message, ...);
+/* Return the categories' bits, and in `unknown` the first name that is none. */
+unsigned log_categories(size_t count, const fmi2String names[], const char **unknown);
+/* Copy a text as one line: whatever is no character of a line becomes a space. */
+void one_line(char *text);
+
+/* -- handles.c: names for objects that can be told from the names of freed ones */
+
+typedef struct {
+    _Atomic uintptr_t handle; /* 0 while the slot is free */
+    atomic_flag busy;
+    void *object;
+} Slot;
+
+#define SLOTS_PER_CHUNK 256
+typedef struct {
+    _Atomic(Slot *) chunks[256];
+} Handles;
+
+void *handle_new(Handles *handles, void *object); /* NULL when all are taken or there is no memory */
+Slot *handle_slot(Handles *handles, const void *handle); /* NULL if it is none */
+void handle_free(Slot *slot);
+
+/* -- instance.c */
+
+/* The functions of pythonfmu's binary that are called. */
+#define SLAVE_FUNCTIONS(F) \
+    F(Instantiate) F(FreeInstance) F(SetupExperiment) F(EnterInitializationMode) F(ExitInitializationMode) \
+    F(Terminate) F(Reset) F(GetReal) F(GetInteger) F(GetBoolean) F(GetString) F(SetReal) F(SetInteger) F(SetBoolean) \
+    F(SetString) F(GetFMUstate) F(SetFMUstate) F(FreeFMUstate) F(SerializedFMUstateSize) F(SerializeFMUstate) \
+    F(DeSerializeFMUstate) F(DoStep)
+
+typedef struct {
+#define F(name) fmi2##name##TYPE *name;
+    SLAVE_FUNCTIONS(F)
+#undef F
+    void (*finalize)(void);
+    void *library;
+} Slave;
+
+extern Slave slave;
+
+/* What a saved state has to bring back besides the slave's own. */
+typedef struct {
+    uint32_t mode;
+    uint32_t has_experiment;
+    double last_time; /* the end of the last step that was accepted */
+} Progress;
+
+typedef struct {
+    Slot *slot;
+    fmi2Component slave;
+    fmi2CallbackFunctions callbacks; /* pythonfmu keeps the pointer */
+    Log log;
+    Description description;
+    int folder; /* kept open where pythonfmu reads the resources through it, else -1 */
+    Progress progress;
+} Instance;
+
+/* Begin a call: the instance, or NULL (which means fmi2Error) if the handle is none or the call is not allowed now. */
+Instance *enter(fmi2Component component, const char *function, unsigned modes);
+/* The worse of the slave's status and what it logged during the call. */
+fmi2Status judged(Instance *self, fmi2Status status);
+/* End the call and return the status. */
+fmi2Status leave(Instance *self, fmi2Status status);
+const char *mode_name(Mode mode);
+/* Release the states that the instance has made. */
+void states_free(Instance *self);
+
+#endif

@@ -1,0 +1,63 @@
+/* Handles: 64-bit names of objects. A slot's memory is never given back and a name never used twice, so that a host may
+ * come with a handle that was freed, or is another FMU's, or was never one. */
+#include "front.h"
+
+#include <pthread.h>
+#include <stdlib.h>
+
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+static uint64_t serial;
+
+#define SLOT_BITS 16
+
+static uint64_t mixed(uint64_t x) {
+    /* The finaliser of splitmix64. */
+    x ^= x >> 30;
+    x *= 0xbf58476d1ce4e5b9u;
+    x ^= x >> 27;
+    x *= 0x94d049bb133111ebu;
+    return x ^ (x >> 31);
+}
+
+void *handle_new(Handles *handles, void *object) {
+    pthread_mutex_lock(&lock);
+    Slot *found = NULL;
+    uintptr_t index = 0;
+    for (size_t c = 0; c < sizeof handles->chunks / sizeof *handles->chunks && !found; c++) {
+        Slot *chunk = atomic_load(&handles->chunks[c]);
+        if (!chunk) {
+            chunk = calloc(SLOTS_PER_CHUNK, sizeof *chunk);
+            if (!chunk) break;
+            atomic_store(&handles->chunks[c], chunk);
+        }
+        for (size_t i = 0; i < SLOTS_PER_CHUNK && !found; i++)
+            if (!atomic_load(&chunk[i].handle)) {
+                found = &chunk[i];
+                index = c * SLOTS_PER_CHUNK + i;
+            }
+    }
+    uintptr_t handle = 0;
+    if (found) {
+        /* Counted, so never the same twice; from a start that the handles of two loaded FMUs do not share. */
+        handle = (mixed((uintptr_t)handles) + ++serial) << SLOT_BITS | index;
+        if (!handle) handle = (mixed((uintptr_t)handles) + ++serial) << SLOT_BITS | index;
+        found->object = object;
+        atomic_flag_clear(&found->busy);
+        atomic_store(&found->handle, handle);
+    }
+    pthread_mutex_unlock(&lock);
+    return (void *)handle;
+}
+
+Slot *handle_slot(Handles *handles, const void *handle) {
+    uintptr_t index = (uintptr_t)handle & ((1u << SLOT_BITS) - 1);
+    Slot *chunk = atomic_load_explicit(&handles->chunks[index / SLOTS_PER_CHUNK], memory_order_acquire);
+    if (!chunk || !handle) return NULL;
+    Slot *slot = &chunk[index % SLOTS_PER_CHUNK];
+    return atomic_load_explicit(&slot->handle, memory_order_acquire) == (uintptr_t)handle ? slot : NULL;
+}
+
+void handle_free(Slot *slot) {
+    slot->object = NULL;
+    atomic_store(&slot->handle, 0);
+}

@@ -1,0 +1,280 @@
+/* Instances: made, led through FMI's modes, freed; and what every call begins and ends with. */
+#define _GNU_SOURCE
+#include "front.h"
+
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <limits.h>
+#include <math.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#define SLAVE_BINARY "pythonfmu-export.so"
+
+Slave slave;
+static Handles instances;
+static _Atomic int living;
+static pthread_mutex_t loading = PTHREAD_MUTEX_INITIALIZER;
+static char own_folder[PATH_MAX];
+
+/* Where this library lies, asked while it is being loaded: its name may be relative to a folder that the host leaves. */
+__attribute__((constructor)) static void note_own_folder(void) {
+    Dl_info self;
+    char path[PATH_MAX];
+    if (!dladdr((void *)&slave, &self) || !realpath(self.dli_fname, path)) return;
+    *strrchr(path, '/') = '\0';
+    strcpy(own_folder, path);
+}
+
+/* Before pythonfmu's static objects are destroyed, after which its own call of this frees one of them twice. */
+static void finish(void) {
+    if (slave.finalize) slave.finalize();
+    if (slave.library && !living) dlclose(slave.library);
+    slave = (Slave){0};
+    python_leave();
+}
+
+/* After Python is there: the binary takes its symbols from the process. */
+static bool load_slave(char *reason, size_t size) {
+    pthread_mutex_lock(&loading);
+    if (!slave.library) {
+        char path[PATH_MAX + sizeof SLAVE_BINARY];
+        snprintf(path, sizeof path, "%s/" SLAVE_BINARY, own_folder);
+        Slave loaded = {.library = dlopen(path, RTLD_NOW | RTLD_LOCAL)};
+        bool complete = loaded.library != NULL;
+        if (complete) {
+            loaded.finalize = (void (*)(void))dlsym(loaded.library, "finalizePythonInterpreter");
+#define F(name) complete = complete && (loaded.name = (fmi2##name##TYPE *)dlsym(loaded.library, "fmi2" #name));
+            SLAVE_FUNCTIONS(F)
+#undef F
+        }
+        if (complete) {
+            slave = loaded;
+            atexit(finish); /* in a library: at its unloading or at the end of the process, whichever comes first */
+        } else {
+            snprintf(reason, size, "expected pythonfmu's binary beside the FMU's, received %s", dlerror());
+        }
+    }
+    pthread_mutex_unlock(&loading);
+    return slave.library != NULL;
+}
+
+const char *mode_name(Mode mode) {
+    return mode == INSTANTIATED ? "instantiated"
+        : mode == INITIALIZATION ? "in initialization mode"
+        : mode == STEPPING ? "in step mode"
+        : mode == TERMINATED ? "terminated"
+        : "lost after a fatal error";
+}
+
+Instance *enter(fmi2Component component, const char *function, unsigned modes) {
+    Slot *slot = handle_slot(&instances, component);
+    if (!slot) return NULL; /* freed, or never one: nobody to tell */
+    if (atomic_flag_test_and_set(&slot->busy)) return NULL;
+    Instance *self = slot->object;
+    if (!self || !python_alive()) return atomic_flag_clear(&slot->busy), NULL;
+    self->log.worst = fmi2OK;
+    if (!(self->progress.mode & modes)) {
+        char allowed[128] = "";
+        for (unsigned mode = INSTANTIATED; mode <= TERMINATED; mode <<= 1)
+            if (modes & mode) {
+                if (*allowed) strcat(allowed, " or ");
+                strcat(allowed, mode_name(mode));
+            }
+        log_line(&self->log, fmi2Error, "%s: expected an instance that is %s, received one that is %s", function, allowed,
+                 mode_name(self->progress.mode));
+        return atomic_flag_clear(&slot->busy), NULL;
+    }
+    python_keep_thread();
+    return self;
+}
+
+fmi2Status judged(Instance *self, fmi2Status status) {
+    if (self->log.worst > status) status = self->log.worst;
+    if (status >= fmi2Fatal) self->progress.mode = LOST;
+    return status;
+}
+
+fmi2Status leave(Instance *self, fmi2Status status) {
+    atomic_flag_clear(&self->slot->busy);
+    return status;
+}
+
+static bool is_utf8(const char *text) {
+    for (const unsigned char *c = (const unsigned char *)text; *c;) {
+        int more = *c < 0x80 ? 0 : *c >= 0xc2 && *c < 0xe0 ? 1 : *c >= 0xe0 && *c < 0xf0 ? 2 : *c >= 0xf0 && *c < 0xf5 ? 3 : -1;
+        if (more < 0) return false;
+        for (c++; more; more--, c++)
+            if ((*c & 0xc0) != 0x80) return false;
+    }
+    return true;
+}
+
+static void discard(Instance *self) {
+    description_free(&self->description);
+    if (self->folder >= 0) close(self->folder);
+    free(self->log.name);
+    free(self);
+}
+
+/* Return the location in the one form that pythonfmu reads; it would take a literal %20 for a space. */
+static char *slave_location(Instance *self, const char *folder) {
+    char *location = malloc(strlen(folder) + 64);
+    if (!location) return NULL;
+    if (strstr(folder, "%20")) {
+        self->folder = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
+        sprintf(location, "file:///proc/self/fd/%d", self->folder);
+    } else {
+        sprintf(location, "file://%s", folder);
+    }
+    return location;
+}
+
+static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char *location, char **folder) {
+    char reason[4096], warning[4096];
+    if (type != fmi2CoSimulation) {
+        log_line(&self->log, fmi2Error, "fmi2Instantiate: expected fmi2CoSimulation, received %s",
+                 type == fmi2ModelExchange ? "fmi2ModelExchange" : "an unknown type");
+        return false;
+    }
+    if (!(*folder = resources_folder(location, reason, sizeof reason))
+        || !description_read(&self->description, *folder, reason, sizeof reason)) {
+        log_line(&self->log, fmi2Error, "fmi2Instantiate: %s", reason);
+        return false;
+    }
+    if (!guid || strcmp(guid, self->description.guid) != 0) {
+        log_line(&self->log, fmi2Error,
+                 "fmi2Instantiate: fmuGUID: expected %s, received %s; likely cause: a modelDescription.xml of another build",
+                 self->description.guid, guid ? guid : "NULL");
+        return false;
+    }
+    if (!python_start(&self->description, reason, sizeof reason, warning, sizeof warning)) {
+        log_line(&self->log, fmi2Error,
+                 "fmi2Instantiate: expected a Python of 3.10 or later with NumPy and a shared libpython, received none: %s; "
+                 "set NDOB_FMU_PYTHON to the path of such a Python",
+                 reason);
+        return false;
+    }
+    if (*warning) log_line(&self->log, fmi2Warning, "fmi2Instantiate: %s", warning);
+    if (!load_slave(reason, sizeof reason)) {
+        log_line(&self->log, fmi2Error, "fmi2Instantiate: %s", reason);
+        return false;
+    }
+    return true;
+}
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+    if (!functions) return NULL;
+    Instance *self = calloc(1, sizeof *self);
+    if (!self) return NULL;
+    bool named = name && *name && is_utf8(name);
+    self->folder = -1;
+    self->log = (Log){functions->logger, functions->componentEnvironment, strdup(named ? name : "unnamed"),
+                      logging != fmi2False, ALL_CATEGORIES, fmi2OK};
+    self->callbacks = (fmi2CallbackFunctions){log_from_slave, functions->allocateMemory, functions->freeMemory, NULL, &self->log};
+    self->progress = (Progress){.mode = INSTANTIATED};
+    char *folder = NULL, *slave_folder = NULL;
+    void *handle = NULL;
+    if (!named) {
+        log_line(&self->log, fmi2Error, "fmi2Instantiate: instanceName: expected a name in UTF-8, received %s",
+                 name ? (*name ? "other bytes" : "an empty string") : "NULL");
+    } else if (prepared(self, type, guid, location, &folder) && (slave_folder = slave_location(self, folder))) {
+        python_keep_thread();
+        self->slave = slave.Instantiate(name, type, guid, slave_folder, &self->callbacks, visible, fmi2True);
+        if (self->slave && !(handle = handle_new(&instances, self))) slave.FreeInstance(self->slave);
+    }
+    free(folder);
+    free(slave_folder);
+    if (!handle) {
+        if (!living) python_drop_thread();
+        discard(self);
+        return NULL;
+    }
+    living++;
+    self->slot = handle_slot(&instances, handle);
+    return handle;
+}
+
+void fmi2FreeInstance(fmi2Component component) {
+    Instance *self = enter(component, __func__, ANY_MODE | LOST);
+    if (!self) return;
+    Slot *slot = self->slot;
+    states_free(self);
+    slave.FreeInstance(self->slave);
+    handle_free(slot);
+    discard(self);
+    if (--living == 0) python_drop_thread();
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String names[]) {
+    Instance *self = enter(component, __func__, ANY_MODE);
+    if (!self) return fmi2Error;
+    if (count && !names) {
+        log_line(&self->log, fmi2Error, "%s: expected %zu categories, received NULL", __func__, count);
+        return leave(self, fmi2Error);
+    }
+    const char *unknown = NULL;
+    unsigned categories = count ? log_categories(count, names, &unknown) : ALL_CATEGORIES;
+    self->log.on = on != fmi2False;
+    self->log.categories = categories;
+    if (!unknown) return leave(self, fmi2OK);
+    log_line(&self->log, fmi2Warning, "%s: expected log categories of the model description, received %s", __func__, unknown);
+    return leave(self, fmi2Warning);
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
+                               fmi2Boolean stop_defined, fmi2Real stop) {
+    Instance *self = enter(component, __func__, INSTANTIATED);
+    if (!self) return fmi2Error;
+    if (!isfinite(start) || (stop_defined && !(isfinite(stop) && stop > start))) {
+        log_line(&self->log, fmi2Error, "%s: expected a finite start time and a later stop time, received %g and %g", __func__,
+                 start, stop_defined ? stop : HUGE_VAL);
+        return leave(self, fmi2Error);
+    }
+    fmi2Status status = judged(self, slave.SetupExperiment(self->slave, tolerance_defined, tolerance, start, stop_defined, stop));
+    if (status < fmi2Discard) self->progress = (Progress){INSTANTIATED, true, start};
+    return leave(self, status);
+}
+
+/* Do what leads from one mode to another; if it fails the instance stays where it was. */
+static fmi2Status change(Instance *self, fmi2Status (*function)(fmi2Component), Mode mode) {
+    fmi2Status status = judged(self, function(self->slave));
+    if (status < fmi2Discard) self->progress.mode = mode;
+    return leave(self, status);
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component component) {
+    Instance *self = enter(component, __func__, INSTANTIATED);
+    if (!self) return fmi2Error;
+    if (!self->progress.has_experiment) {
+        log_line(&self->log, fmi2Error, "%s: expected fmi2SetupExperiment before it, received none", __func__);
+        return leave(self, fmi2Error);
+    }
+    return change(self, slave.EnterInitializationMode, INITIALIZATION);
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component component) {
+    Instance *self = enter(component, __func__, INITIALIZATION);
+    return self ? change(self, slave.ExitInitializationMode, STEPPING) : fmi2Error;
+}
+
+fmi2Status fmi2Terminate(fmi2Component component) {
+    Instance *self = enter(component, __func__, STEPPING);
+    return self ? change(self, slave.Terminate, TERMINATED) : fmi2Error;
+}
+
+fmi2Status fmi2Reset(fmi2Component component) {
+    Instance *self = enter(component, __func__, ANY_MODE);
+    if (!self) return fmi2Error;
+    fmi2Status status = judged(self, slave.Reset(self->slave));
+    if (status < fmi2Discard) self->progress = (Progress){.mode = INSTANTIATED};
+    return leave(self, status);
+}
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+
+const char *fmi2GetVersion(void) { return "2.0"; }

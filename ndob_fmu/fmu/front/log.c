@@ -1,0 +1,79 @@
+/* Messages to the host, by FMI's categories, and the status that the slave's messages carry.
+ *
+ * pythonfmu makes fmi2Fatal of every exception. The slave therefore never raises; it logs with a status, and the
+ * worst one during a call becomes the call's. */
+#include "front.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const char *const CATEGORIES[] = {
+    [fmi2OK] = "logAll",
+    [fmi2Warning] = "logStatusWarning",
+    [fmi2Discard] = "logStatusDiscard",
+    [fmi2Error] = "logStatusError",
+    [fmi2Fatal] = "logStatusFatal",
+};
+
+void one_line(char *text) {
+    char *to = text;
+    for (const char *from = text; *from; from++) {
+        char c = (unsigned char)*from < ' ' || *from == 127 ? ' ' : *from;
+        if (c != ' ' || (to > text && to[-1] != ' ')) *to++ = c;
+    }
+    while (to > text && to[-1] == ' ') to--;
+    *to = '\0';
+}
+
+static void send(Log *log, fmi2Status status, const char *category, const char *text) {
+    if (!log->logger) return;
+    bool wanted = status >= fmi2Discard || (log->on && (log->categories & (1u << status)));
+    if (!wanted) return;
+    /* The host takes the text as a printf format, or does not: with doubled percent signs it reads well either way. */
+    char *format = malloc(2 * strlen(text) + 1);
+    if (!format) return;
+    char *to = format;
+    for (const char *from = text; *from; from++) {
+        if (*from == '%') *to++ = '%';
+        *to++ = *from;
+    }
+    *to = '\0';
+    one_line(format);
+    log->logger(log->environment, log->name, status, category, format);
+    free(format);
+}
+
+void log_line(Log *log, fmi2Status status, const char *format, ...) {
+    char text[2048];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    send(log, status, CATEGORIES[status], text);
+}
+
+void log_from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
+                    fmi2String message, ...) {
+    (void)name, (void)category;
+    Log *log = environment;
+    if (status > fmi2Fatal) status = fmi2Error;
+    if (status > log->worst) log->worst = status;
+    send(log, status, CATEGORIES[status], message ? message : "");
+}
+
+unsigned log_categories(size_t count, const fmi2String names[], const char **unknown) {
+    unsigned bits = 0;
+    *unknown = NULL;
+    for (size_t i = 0; i < count; i++) {
+        bool known = false;
+        for (unsigned status = fmi2OK; status <= fmi2Fatal && names[i]; status++)
+            if (strcmp(names[i], CATEGORIES[status]) == 0) {
+                bits |= status == fmi2OK ? ALL_CATEGORIES : 1u << status;
+                known = true;
+            }
+        if (!known && !*unknown) *unknown = names[i] ? names[i] : "NULL";
+    }
+    return bits;
+}

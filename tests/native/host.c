@@ -1,0 +1,168 @@
+/* A host that is no Python process: runs one FMU by commands on stdin, one a line, and prints a line for each.
+ *
+ *   host LIBRARY RESOURCE_URI GUID     an argument "-" is NULL
+ *
+ *   new [NAME] [GUID] [on]   instantiate into the next place, say "new OK" or "new NULL"
+ *   at PLACE                 go on with the instance at that place (they count from 0)
+ *   setup START STOP         enter  exit  terminate  reset  free
+ *   setR|setI|setB REFS VALUES   getR|getI|getB REFS     lists with commas: 0,1 2.5,3
+ *   step TIME SIZE           last                        time of the last step
+ *   run STEPS SIZE SETREFS GETREFS   steps from the time of the last run; prints the last outputs
+ *   cost STEPS SETREFS GETREFS BOOLREFS   microseconds that getting and setting take, the least of ten tries
+ *   threads STEPS            steps the instances at places 0 and 1 on two threads; prints their first outputs
+ *   log ON CATEGORIES        save  restore  drop  bytes FILE  unbytes FILE      FMU state
+ *
+ * Log messages are printed as "log STATUS CATEGORY TEXT". */
+#define _GNU_SOURCE
+#include "fmi2Functions.h"
+
+#include <dlfcn.h>
+#include <pthread.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+static const char *const STATUS[] = {"OK", "Warning", "Discard", "Error", "Fatal", "Pending"};
+static void *library;
+#define CALL(name) ((fmi2##name##TYPE *)dlsym(library, "fmi2" #name))
+
+static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
+                   fmi2String message, ...) {
+    va_list arguments;
+    va_start(arguments, message);
+    printf("log %s %s ", STATUS[status], category);
+    vprintf(message, arguments);
+    puts("");
+    va_end(arguments);
+    (void)environment, (void)name;
+}
+
+static size_t references(char *text, fmi2ValueReference *to) {
+    size_t count = 0;
+    for (char *one; text && strcmp(text, "-") != 0 && (one = strsep(&text, ","));) to[count++] = (unsigned)strtoul(one, NULL, 10);
+    return count;
+}
+
+static size_t reals(char *text, double *to) {
+    size_t count = 0;
+    for (char *one; text && strcmp(text, "-") != 0 && (one = strsep(&text, ","));) to[count++] = strtod(one, NULL);
+    return count;
+}
+
+static double now(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec * 1e6 + (double)t.tv_nsec * 1e-3;
+}
+
+static fmi2Component places[256], c;
+static size_t made;
+static int steps_of_threads;
+
+static void *steps(void *instance) {
+    for (int k = 0; k < steps_of_threads; k++)
+        if (CALL(DoStep)(instance, k * 1e-3, 1e-3, fmi2True) != fmi2OK) puts("thread: step failed");
+    return NULL;
+}
+
+int main(int count, char *words[]) {
+    if (count != 4 || !(library = dlopen(words[1], RTLD_NOW | RTLD_LOCAL))) return fprintf(stderr, "%s\n", dlerror()), 2;
+    const char *uri = strcmp(words[2], "-") ? words[2] : NULL;
+    fmi2CallbackFunctions callbacks = {logger, calloc, free, NULL, NULL};
+    fmi2ValueReference vr[256], vs[256], vb[256];
+    double values[256];
+    fmi2Integer integers[256];
+    fmi2FMUstate state = NULL;
+    double time = 0.0;
+    static char bytes[1 << 20];
+    for (char line[8192]; fgets(line, sizeof line, stdin);) {
+        char *word[8] = {0}, *rest = line;
+        line[strcspn(line, "\n")] = '\0';
+        for (int i = 0; i < 8 && rest; i++) word[i] = strsep(&rest, " ");
+        const char *verb = word[0];
+        fmi2Status status = fmi2OK;
+#define IS(name) (strcmp(verb, name) == 0)
+        if (IS("new")) {
+            const char *guid = word[2] && strcmp(word[2], "-") ? word[2] : words[3];
+            c = CALL(Instantiate)(word[1], fmi2CoSimulation, guid, uri, &callbacks, fmi2False, word[3] != NULL);
+            if (c) places[made++] = c;
+            printf("new %s\n", c ? "OK" : "NULL");
+            continue;
+        }
+        if (IS("at")) c = places[atoi(word[1])];
+        else if (IS("setup")) status = CALL(SetupExperiment)(c, 0, 0.0, atof(word[1]), word[2] != NULL, word[2] ? atof(word[2]) : 0.0);
+        else if (IS("enter")) status = CALL(EnterInitializationMode)(c);
+        else if (IS("exit")) status = CALL(ExitInitializationMode)(c);
+        else if (IS("terminate")) status = CALL(Terminate)(c);
+        else if (IS("reset")) status = CALL(Reset)(c);
+        else if (IS("free")) CALL(FreeInstance)(c);
+        else if (IS("step")) status = CALL(DoStep)(c, atof(word[1]), atof(word[2]), fmi2True);
+        else if (IS("last")) status = CALL(GetRealStatus)(c, fmi2LastSuccessfulTime, values), printf("%.17g ", values[0]);
+        else if (IS("setR")) reals(word[2], values), status = CALL(SetReal)(c, vr, references(word[1], vr), values);
+        else if (IS("setI") || IS("setB")) {
+            size_t n = reals(word[2], values);
+            for (size_t i = 0; i < n; i++) integers[i] = (int)values[i];
+            status = (IS("setI") ? CALL(SetInteger) : CALL(SetBoolean))(c, vr, references(word[1], vr), integers);
+        } else if (IS("getR") || IS("run")) {
+            if (IS("run")) {
+                size_t n = references(word[3], vs);
+                double h = atof(word[2]);
+                for (int k = 0; k < atoi(word[1]) && status == fmi2OK; k++) {
+                    for (size_t i = 0; i < n; i++) values[i] = 0.25 * (double)(k % 7);
+                    if (n) CALL(SetReal)(c, vs, n, values);
+                    status = CALL(DoStep)(c, time + k * h, h, fmi2True);
+                }
+                time += atoi(word[1]) * h;
+            }
+            size_t n = references(IS("run") ? word[4] : word[1], vr);
+            if (status == fmi2OK) status = CALL(GetReal)(c, vr, n, values);
+            for (size_t i = 0; i < n && status == fmi2OK; i++) printf("%.17g ", values[i]);
+        } else if (IS("getI") || IS("getB")) {
+            size_t n = references(word[1], vr);
+            status = (IS("getI") ? CALL(GetInteger) : CALL(GetBoolean))(c, vr, n, integers);
+            for (size_t i = 0; i < n && status == fmi2OK; i++) printf("%d ", integers[i]);
+        } else if (IS("cost")) {
+            size_t n = references(word[2], vs), m = references(word[3], vr), b = references(word[4], vb);
+            double least = 1e9;
+            CALL(GetReal)(c, vs, n, values);
+            fmi2SetRealTYPE *set = CALL(SetReal);
+            fmi2GetRealTYPE *get = CALL(GetReal);
+            fmi2GetBooleanTYPE *flags = CALL(GetBoolean);
+            for (int i = 0; i < 10; i++) {
+                double begin = now();
+                for (int k = 0; k < atoi(word[1]); k++) set(c, vs, n, values), get(c, vr, m, values + n), flags(c, vb, b, integers);
+                double taken = (now() - begin) / atoi(word[1]);
+                if (taken < least) least = taken;
+            }
+            printf("%.3f ", least);
+        } else if (IS("threads")) {
+            pthread_t one, other;
+            steps_of_threads = atoi(word[1]);
+            pthread_create(&one, NULL, steps, places[0]), pthread_create(&other, NULL, steps, places[1]);
+            pthread_join(one, NULL), pthread_join(other, NULL);
+        } else if (IS("log")) {
+            const char *categories[16];
+            size_t n = 0;
+            for (char *one; (one = strsep(&word[2], ","));) categories[n++] = one;
+            status = CALL(SetDebugLogging)(c, atoi(word[1]), n, categories);
+        } else if (IS("save")) status = CALL(GetFMUstate)(c, &state);
+        else if (IS("restore")) status = CALL(SetFMUstate)(c, state);
+        else if (IS("drop")) status = CALL(FreeFMUstate)(c, &state);
+        else if (IS("bytes") || IS("unbytes")) {
+            size_t size = 0;
+            FILE *file = fopen(word[1], IS("bytes") ? "wb" : "rb");
+            if (IS("bytes")) {
+                status = CALL(SerializedFMUstateSize)(c, state, &size);
+                if (status == fmi2OK) status = CALL(SerializeFMUstate)(c, state, bytes, size);
+                if (status == fmi2OK) fwrite(bytes, 1, size, file);
+            } else {
+                size = fread(bytes, 1, sizeof bytes, file);
+                status = CALL(DeSerializeFMUstate)(c, bytes, size, &state);
+            }
+            fclose(file);
+        }
+        printf("%s %s\n", verb, STATUS[status]);
+    }
+    return 0;
+}
