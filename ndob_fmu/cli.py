@@ -119,6 +119,7 @@ def _simulate(options: argparse.Namespace) -> int:
         start_values=_pairs(options.start_values),
         input_file=options.input_file,
         scheme=options.scheme,
+        order=options.order,
     )
     span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
     rows = f"{len(recording.time)} rows of {len(recording.names)} signals, {span}"
@@ -228,7 +229,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--input-file", type=Path, help="CSV of inputs, columns component.variable")
     sub.add_argument("--output-file", type=Path, help="CSV to write")
-    sub.add_argument("--scheme", choices=["jacobi", "gauss-seidel"], default="jacobi", help="order of the coupling")
+    sub.add_argument(
+        "--scheme", choices=["jacobi", "gauss-seidel", "extrapolation"], default="jacobi", help="coupling (%(default)s)"
+    )
+    sub.add_argument(
+        "--order", nargs="+", metavar="COMPONENT", help="order of gauss-seidel (default: that of the system)"
+    )
     sub.add_argument("--show-plot", action="store_true", help="open a window with the signals")
 
     sub = command("demo", _demo, "Run the paper's example and write its figures.")

@@ -2,6 +2,7 @@
 
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.loops import Loop, algebraic_loops
 from ndob_fmu.cosim.package import build_ssp
 from ndob_fmu.cosim.run import simulate
 from ndob_fmu.cosim.ssp import open_ssp
@@ -12,11 +13,13 @@ __all__ = [
     "Component",
     "Connection",
     "FmuComponent",
+    "Loop",
     "Port",
     "Recording",
     "System",
     "Value",
     "Variable",
+    "algebraic_loops",
     "build_ssp",
     "open_ssp",
     "simulate",

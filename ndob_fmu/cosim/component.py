@@ -20,6 +20,9 @@ class Variable:
     causality: ``input``, ``output``, ``parameter``, ``calculatedParameter``, ``local`` or ``independent``.
     type: ``Real``, ``Integer``, ``Enumeration``, ``Boolean`` or ``String``. unit: None where none is declared.
     start: the value the component itself starts with, None if it declares none. settable: takes a start value.
+    variability: only between ``continuous`` Reals is there anything to extrapolate. dependencies: of an output, the
+    inputs that show in it at once when they change at a communication point; initial_dependencies: the same during
+    initialization; None where nothing is declared, which may be every input.
     """
 
     name: str
@@ -28,6 +31,9 @@ class Variable:
     unit: str | None = None
     start: Value | None = None
     settable: bool = True
+    variability: str = "continuous"
+    dependencies: tuple[str, ...] | None = None
+    initial_dependencies: tuple[str, ...] | None = None
 
 
 class Component(Protocol):

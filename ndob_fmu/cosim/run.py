@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,11 +13,14 @@ from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.inputs import NO_INPUTS, read_inputs
+from ndob_fmu.cosim.loops import algebraic_loops
 from ndob_fmu.cosim.ssp import open_ssp
 from ndob_fmu.cosim.system import Port, System
 from ndob_fmu.cosim.wiring import wire
 from ndob_fmu.errors import UsageError
 from ndob_fmu.results import Recording
+
+_log = logging.getLogger(__name__)
 
 
 def simulate(
@@ -29,6 +33,7 @@ def simulate(
     start_values: Mapping[str, Value] | None = None,
     input_file: str | Path | None = None,
     scheme: str = "jacobi",
+    order: Sequence[str] | None = None,
     progress: bool | None = None,
 ) -> Recording:
     """Co-simulate with a fixed communication step and return every numeric output, one row per communication point.
@@ -37,9 +42,13 @@ def simulate(
     and whose inputs keep the start values of its model description. Times in seconds; one that is None comes from the
     default experiment of the .ssp or .fmu, the start time else is 0, and each communication point is recorded.
     start_values: ``component.variable`` → value. input_file: CSV in fmpy's form with columns ``component.variable``,
-    each row held until the next; its columns replace start values that the system itself gives. scheme: ``jacobi`` or
-    ``gauss-seidel`` (in the order of the components). progress: a bar on stderr for runs longer than 2 s; None shows
-    it on terminals only.
+    each row held until the next; its columns replace start values that the system itself gives. progress: a bar on
+    stderr for runs longer than 2 s; None shows it on terminals only.
+
+    scheme: ``jacobi``, all components step at once with inputs held since the step's beginning; ``gauss-seidel``, one
+    after the other, each with what those before it have at the step's end; ``extrapolation``, all at once with inputs
+    held at what they will be in the step's middle, of second order where signals are smooth. order: the components'
+    names in the order of gauss-seidel; None means the system's.
 
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
     SimulationError for a component that fails. No component and no temporary file outlives the call.
@@ -53,7 +62,21 @@ def simulate(
         )
         starts = {opened.port(name): value for name, value in (start_values or {}).items()}
         table = NO_INPUTS if input_file is None else read_inputs(input_file, opened)
-        return master.run(wire(opened, table, starts), clock, scheme=scheme, progress=progress)
+        if order is not None and scheme != "gauss-seidel":
+            raise UsageError.report("order", expected="the scheme gauss-seidel", received=repr(scheme))
+        wiring = wire(opened, table, starts, order)
+        _warn_of_delays(opened)
+        return master.run(wiring, clock, scheme=scheme, progress=progress)
+
+
+def _warn_of_delays(system: System) -> None:
+    for loop in algebraic_loops(system, initial=False):
+        if loop.declared:
+            _log.warning(
+                "algebraic loop %s: after the start FMI 2.0 lets nobody solve it, so that each step begins with values "
+                "of the step before",
+                loop,
+            )
 
 
 @contextmanager

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import NamedTuple
 
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.errors import CouplingError, NdobError
+from ndob_fmu.errors import CouplingError, NdobError, UsageError
 
 
 class Port(NamedTuple):
@@ -23,10 +25,12 @@ class Port(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """The output ``source`` drives the input ``target``."""
+    """The output ``source`` drives the input ``target``, which receives factor · source + offset."""
 
     source: Port
     target: Port
+    factor: float = 1.0
+    offset: float = 0.0
 
     def __str__(self) -> str:
         return f"{self.source} → {self.target}"
@@ -36,25 +40,39 @@ class Connection(NamedTuple):
 class System:
     """Components by name (their order is the order of Gauss–Seidel), what drives what, and start values.
 
-    connections: (source, target), each (component, variable). start_values: (component, variable) → value.
-    Raises CouplingError for an unknown component or variable, a wrong causality, type or unit, and an input with two
-    drivers; UsageError for a start value that its variable cannot take.
+    connections: (source, target), each (component, variable), or (source, target, factor, offset). start_values:
+    (component, variable) → value. step_ratios: component → k for those that step over k communication steps at a time.
+    Raises CouplingError for an unknown component or variable, a wrong causality, type or unit, a factor or offset of
+    what is no Real, and an input with two drivers; UsageError for a start value that its variable cannot take, a factor
+    or offset that is not finite, and a ratio that is not a whole number from 1 on.
     """
 
     components: Mapping[str, Component]
     connections: tuple[Connection, ...] = ()
     start_values: Mapping[Port, Value] = field(default_factory=dict)
+    step_ratios: Mapping[str, int] = field(default_factory=dict)
     _variables: dict[str, dict[str, Variable]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "components", dict(self.components))
         tables = {name: {v.name: v for v in component.variables} for name, component in self.components.items()}
         object.__setattr__(self, "_variables", tables)
-        connections = tuple(Connection(Port(*source), Port(*target)) for source, target in self.connections)
+        connections = tuple(
+            Connection(Port(*source), Port(*target), *map(float, scaling))
+            for source, target, *scaling in self.connections
+        )
         object.__setattr__(self, "connections", connections)
         self._check_connections()
         starts = {Port(*port): value for port, value in self.start_values.items()}
         object.__setattr__(self, "start_values", {port: self._start(port, value) for port, value in starts.items()})
+        ratios = {name: self._ratio(name, ratio) for name, ratio in self.step_ratios.items()}
+        object.__setattr__(self, "step_ratios", ratios)
+
+    def component(self, name: str) -> Component:
+        """Return the component called ``name``; raise CouplingError, naming the nearest one, if there is none."""
+        if name not in self.components:
+            raise _unknown("component", name, self.components)
+        return self.components[name]
 
     def variable(self, port: Port) -> Variable:
         """Return the variable behind ``port``; raise CouplingError, naming the nearest one, if there is none."""
@@ -98,9 +116,21 @@ class System:
                 _require(connection, f"the unit {target.unit} of {connection.target}", source.unit, target.unit)
             if source.type == "String":
                 raise CouplingError.report(str(connection), expected="a numeric or Boolean signal", received="a String")
+            _require_scaling(connection, source.type)
             if connection.target in drivers:
                 raise _driven_twice(connection.target, f"{drivers[connection.target]} and {connection.source}")
             drivers[connection.target] = connection.source
+
+    def _ratio(self, name: str, ratio: int) -> int:
+        self.component(name)
+        if not isinstance(ratio, Integral) or isinstance(ratio, bool) or ratio < 1:
+            raise UsageError.report(
+                f"step ratio of {name}",
+                expected="a whole number of communication steps, 1 or more",
+                received=repr(ratio),
+                likely="the communication step must divide the step of every component",
+            )
+        return int(ratio)
 
     def _start(self, port: Port, value: Value) -> Value:
         variable = self.variable(port)
@@ -125,6 +155,19 @@ def _unknown(where: str, name: str, known: Iterable[str]) -> NdobError:
 def _require(connection: Connection, expected: str, received: str, wanted: str) -> None:
     if received != wanted:
         raise CouplingError.report(f"connection {connection}", expected=expected, received=received)
+
+
+def _require_scaling(connection: Connection, kind: str) -> None:
+    scaling = (connection.factor, connection.offset)
+    received = f"{connection.factor!r} and {connection.offset!r}"
+    if not all(map(math.isfinite, scaling)):
+        raise UsageError.report(f"connection {connection}", expected="a finite factor and offset", received=received)
+    if kind != "Real" and scaling != (1.0, 0.0):
+        raise CouplingError.report(
+            f"connection {connection}",
+            expected=f"no factor and no offset for a signal of type {kind}",
+            received=received,
+        )
 
 
 def _driven_twice(port: Port, drivers: str) -> NdobError:
