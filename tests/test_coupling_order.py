@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import logging
+import zipfile
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -358,3 +360,87 @@ def test_a_loop_that_acts_with_a_delay_during_the_run_is_told_only_if_it_is_sure
     with caplog.at_level(logging.WARNING):
         simulate(ring(a=static(lambda u: 0.5 * u), b=static(abs, declared=declared)), stop_time=1.0, step_size=1.0)
     assert ("algebraic loop a.y → b.u → b.y → a.u → a.y: after the start" in caplog.text) == declared
+
+
+# -- what an FMU's model description says
+
+
+def declared(path, target, listed, variability="continuous"):
+    """Copy Gain.fmu with what depends on what in its model description; 1, 2 and 4 are a, b and y there."""
+    with zipfile.ZipFile(path) as before, zipfile.ZipFile(target, "w") as after:
+        for name in before.namelist():
+            data = before.read(name)
+            if name == "modelDescription.xml":
+                root = ElementTree.fromstring(data)
+                structure = root.find("ModelStructure")
+                structure.clear()
+                structure.extend(listed)
+                root.find("ModelVariables")[3].set("variability", variability)
+                data = ElementTree.tostring(root)
+            after.writestr(name, data)
+    return target
+
+
+def unknowns(tag, **attributes):
+    element = ElementTree.Element(tag)
+    ElementTree.SubElement(element, "Unknown", {"index": "4", **attributes})
+    return element
+
+
+@pytest.fixture
+def gain_fmu(tmp_path_factory):
+    return coupling_fmus(tmp_path_factory.getbasetemp()) / "Gain.fmu"
+
+
+@pytest.mark.parametrize(
+    ("step", "initial", "expected"),
+    [
+        ({}, None, (None, None)),
+        ({"dependencies": ""}, None, ((), None)),
+        ({"dependencies": "2"}, {"dependencies": "1 2 3"}, (("b",), ("a", "b"))),
+        ({"dependencies": "1", "dependenciesKind": "constant"}, {"dependencies": ""}, (("a",), ())),
+    ],
+)
+def test_dependencies_of_an_fmu_are_read_and_those_left_out_may_be_all(gain_fmu, tmp_path, step, initial, expected):
+    listed = [unknowns("Outputs", **step)] + ([] if initial is None else [unknowns("InitialUnknowns", **initial)])
+    y = next(v for v in FmuComponent(declared(gain_fmu, tmp_path / "G.fmu", listed)).variables if v.name == "y")
+    assert (y.dependencies, y.initial_dependencies) == expected
+
+
+def test_an_output_that_starts_at_its_start_value_depends_on_nothing_then(gain_fmu):
+    integrator = {v.name: v for v in FmuComponent(gain_fmu.with_name("Integrator.fmu")).variables}
+    assert integrator["y"].initial_dependencies == ()
+    assert integrator["half"].initial_dependencies is None
+
+
+def test_the_shipped_fmus_say_that_between_steps_nothing_passes_at_once(flexible_joint):
+    system = System(
+        {"plant": FmuComponent(flexible_joint.plant), "observer": FmuComponent(flexible_joint.observer)},
+        (
+            (("plant", "link_angle"), ("observer", "link_angle")),
+            (("observer", "load_torque_hat"), ("plant", "load_torque")),
+        ),
+    )
+    assert algebraic_loops(system, initial=False) == ()
+
+
+def test_a_loop_of_two_fmus_is_solved_at_the_start_and_its_delay_is_told(gain_fmu, tmp_path, caplog):
+    """y = -3 (1 + y), a loop with a gain above one."""
+    through = [unknowns("Outputs", dependencies="1"), unknowns("InitialUnknowns", dependencies="1")]
+    path = declared(gain_fmu, tmp_path / "G.fmu", through)
+    starts = {("up", "k"): -3.0, ("up", "b"): 1.0, ("back", "k"): 1.0, ("back", "b"): 0.0}
+    pairs = ((("up", "y"), ("back", "a")), (("back", "y"), ("up", "a")))
+    system = System({name: FmuComponent(path, name) for name in ("up", "back")}, pairs, starts)
+    recording = simulate(system, stop_time=1.0, step_size=1.0)
+    np.testing.assert_allclose(recording.columns[0], [-0.75, -0.75], rtol=1e-9)
+    assert "algebraic loop up.y → back.a → back.y → up.a → up.y: after the start" in caplog.text
+
+
+@pytest.mark.parametrize(("variability", "seen"), [("continuous", 1.75), ("discrete", 1.5)])
+def test_a_discrete_output_of_an_fmu_is_held(gain_fmu, tmp_path, variability, seen):
+    listed = [unknowns("Outputs", dependencies="1 2")]
+    parts = {"clock": ramp(), "g": FmuComponent(declared(gain_fmu, tmp_path / "G.fmu", listed, variability), "g")}
+    part = parts["x"] = integrator()
+    system = System(parts, ((("clock", "y"), ("g", "a")), (("g", "y"), ("x", "u"))), {("g", "k"): 1.0, ("g", "b"): 0.0})
+    simulate(system, stop_time=2.0, step_size=0.5, scheme="extrapolation")
+    assert received(part)[-1] == seen

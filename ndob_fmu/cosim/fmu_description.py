@@ -54,10 +54,35 @@ def read_description(path: Path) -> FmuDescription:
     return FmuDescription(
         model.guid,
         model.coSimulation.modelIdentifier,
-        tuple(_variable(entry, path) for entry in model.modelVariables),
+        _variables(model, path),
         {entry.name: entry.valueReference for entry in model.modelVariables},
         _experiment(model.defaultExperiment),
     )
+
+
+def _variables(model: Any, path: Path) -> tuple[Variable, ...]:
+    shown, shown_initially = (
+        {u.variable.name: u for u in unknowns} for unknowns in (model.outputs, model.initialUnknowns)
+    )
+    found = []
+    for entry in model.modelVariables:
+        variable = _variable(entry, path)
+        if entry.causality == "output":
+            # FMI 2.0, section 2.2.8: an output that keeps its start value during initialization is not listed there.
+            exact = entry.initial == "exact" and entry.name not in shown_initially
+            variable = replace(
+                variable,
+                dependencies=_dependencies(shown.get(entry.name)),
+                initial_dependencies=() if exact else _dependencies(shown_initially.get(entry.name)),
+            )
+        found.append(variable)
+    return tuple(found)
+
+
+def _dependencies(unknown: Any) -> tuple[str, ...] | None:
+    if unknown is None or unknown.dependencies is None:
+        return None
+    return tuple(known.name for known in unknown.dependencies if known.causality == "input")
 
 
 def _variable(entry: Any, path: Path) -> Variable:
@@ -69,6 +94,7 @@ def _variable(entry: Any, path: Path) -> Variable:
         None,
         # FMI 2.0, section 2.2.7: only these may be set before initialization.
         entry.variability != "constant" and (entry.causality == "input" or entry.initial in ("exact", "approx")),
+        entry.variability or "continuous",
     )
     if entry.start is None:
         return variable
