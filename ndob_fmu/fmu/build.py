@@ -18,8 +18,9 @@ from ndob_fmu.assumptions import check
 from ndob_fmu.emit import emit_python
 from ndob_fmu.fmu.bundle import bundle
 from ndob_fmu.fmu.description import complete
-from ndob_fmu.fmu.extras import Part, extras
+from ndob_fmu.fmu.extras import extras
 from ndob_fmu.fmu.front import with_front
+from ndob_fmu.fmu.manual import Part
 from ndob_fmu.model import Model
 from ndob_fmu.results import atomic_path
 from ndob_fmu.runtime.interface import Variable, observer_variables, plant_variables

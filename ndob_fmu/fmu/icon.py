@@ -1,0 +1,68 @@
+"""The icon of an FMU: a block with its name, what goes in on the left and what comes out on the right."""
+
+from __future__ import annotations
+
+import io
+from itertools import pairwise
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+from ndob_fmu.fmu.manual import Part
+from ndob_fmu.model import Model
+
+_SIZE, _DPI = 200, 100  # pixels; FMI recommends at least 100
+_INK, _FACE = {"Plant": "#1f4e79", "Observer": "#7a3e00"}, {"Plant": "#eaf2fa", "Observer": "#fdf1e3"}
+
+
+def draw_icon(model: Model, part: Part) -> bytes:
+    """Return the icon as PNG: the same bytes for the same model, whatever style the user has set for figures."""
+    ink = _INK[part]
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        figure = Figure(figsize=(_SIZE / _DPI, _SIZE / _DPI), dpi=_DPI)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        axes.set_axis_off()
+        block = FancyBboxPatch(
+            (0.2, 0.16), 0.6, 0.68, boxstyle="round,pad=0,rounding_size=0.04", fc=_FACE[part], ec=ink, lw=2.0
+        )
+        axes.add_patch(block)
+        into, out = _signals(model, part)
+        for x, symbols in ((0.02, into), (0.8, out)):
+            for k, symbol in enumerate(symbols):
+                y = 0.84 - 0.68 * (k + 1) / (len(symbols) + 1)
+                axes.annotate(
+                    "",
+                    (x + 0.18, y),
+                    (x, y),
+                    arrowprops={"arrowstyle": "-|>", "color": ink, "shrinkA": 0, "shrinkB": 0},
+                )
+                axes.text(x + 0.07, y + 0.03, symbol, ha="center", va="bottom", size=11, color=ink)
+        axes.text(0.5, 0.6, _broken(model.name), ha="center", va="center", size=_fitting(model.name), color=ink)
+        axes.text(0.5, 0.33, part.lower(), ha="center", va="center", size=9, style="italic", color=ink)
+        png = io.BytesIO()
+        figure.savefig(png, format="png", metadata={"Software": None})
+    return png.getvalue()
+
+
+def _signals(model: Model, part: Part) -> tuple[list[str], list[str]]:
+    u = ["$u$"] if model.inputs else []
+    if part == "Plant":
+        return [*u, "$d$"], ["$y$", "$x$"]
+    return [*u, "$y$"], [r"$\hat{x}$", r"$\hat{d}$"]
+
+
+def _broken(name: str) -> str:
+    """Return a long name in two lines, broken where a word in it begins nearest to the middle."""
+    starts = [i for i, (a, b) in enumerate(pairwise(name), start=1) if a == "_" or (b.isupper() and not a.isupper())]
+    if len(name) <= 8 or not starts:
+        return name
+    middle = min(starts, key=lambda i: abs(2 * i - len(name)))
+    return f"{name[:middle]}\n{name[middle:]}"
+
+
+def _fitting(name: str) -> float:
+    longest = max(map(len, _broken(name).split("\n")))
+    return min(13.0, 13.0 * 8.5 / longest)
