@@ -12,6 +12,7 @@ import pytest
 from coupling_fmus import coupling_fmus
 from mock_components import Mock, constant, gain, integrator, ramp
 
+from ndob_fmu.cli import main
 from ndob_fmu.cosim import FmuComponent, System, Variable, algebraic_loops, simulate
 from ndob_fmu.errors import CouplingError, UsageError
 
@@ -169,6 +170,21 @@ def test_gauss_seidel_steps_in_the_order_that_is_stated_and_records_in_that_of_t
     recording = simulate(system, stop_time=3.0, step_size=1.0, scheme="gauss-seidel", order=order)
     assert recording.names == ("second.y", "clock.y")
     np.testing.assert_array_equal(recording["second.y"], seen)
+
+
+def test_the_command_line_takes_an_order_and_every_scheme(flexible_joint, tmp_path, capsys):
+    """The plant takes nothing from the observer: with the observer first each has what it has with Jacobi."""
+
+    def run(*words):
+        file = tmp_path / "out.csv"
+        command = ["simulate", str(flexible_joint.system), "--stop-time", "0.05", "--output-file", str(file)]
+        assert main([*command, "--scheme", *words]) == 0
+        return file.read_bytes()
+
+    jacobi = run("jacobi")
+    assert run("gauss-seidel", "--order", "observer", "plant") == jacobi
+    assert len({jacobi, run("gauss-seidel"), run("extrapolation")}) == 3
+    capsys.readouterr()
 
 
 def test_an_order_that_names_no_component_is_refused_with_the_nearest_one():
