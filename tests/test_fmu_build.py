@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,6 +23,7 @@ from ndob_fmu import Model, NdobError, build
 from ndob_fmu.cosim import System, simulate
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
+from ndob_fmu.fmu.bundle import bundle
 from ndob_fmu.runtime.equations import SignalDefaults
 from ndob_fmu.runtime.paper_observer import paper_observer
 from ndob_fmu.runtime.schedule import PiSchedule
@@ -70,11 +73,49 @@ def two_channels(**changes):
     return Model(**(fields | changes))
 
 
-def test_two_builds_in_different_folders_and_processes_give_the_same_bytes(flexible_joint, tmp_path):
-    program = "from ndob_fmu import build, load_model; build(load_model('flexible_joint'), 'some where else')"
-    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, env=ENVIRONMENT | {"PYTHONPATH": ROOT})
-    for fmu in (flexible_joint.plant, flexible_joint.observer):
-        assert (tmp_path / "some where else" / fmu.name).read_bytes() == fmu.read_bytes()
+BUILD = """
+import os, sys
+os.umask(0o077)
+from ndob_fmu import build, load_model
+build(load_model("flexible_joint"), sys.argv[1])
+"""
+
+
+def build_elsewhere(folder, **environment):
+    """Build the example in a process of its own, from another folder, and return the two FMUs."""
+    command = [sys.executable, "-c", BUILD, "some where else"]
+    own = ENVIRONMENT | {"PYTHONPATH": str(ROOT), "MPLCONFIGDIR": str(folder)} | environment
+    subprocess.run(command, cwd=folder, check=True, env=own, capture_output=True)
+    return sorted((folder / "some where else").iterdir(), reverse=True)
+
+
+def test_two_builds_give_the_same_bytes_whatever_differs_around_them(flexible_joint, tmp_path):
+    """Folder, process, time and its zone, seed of the hashes, umask, language, and the user's style for figures."""
+    (tmp_path / "matplotlibrc").write_text("font.size: 30\nsavefig.dpi: 300\n")
+    environment = {"PYTHONHASHSEED": "4711", "TZ": "Asia/Kathmandu", "LC_ALL": "C", "SOURCE_DATE_EPOCH": "1"}
+    for other, fmu in zip(
+        build_elsewhere(tmp_path, **environment), (flexible_joint.plant, flexible_joint.observer), strict=True
+    ):
+        assert hashlib.sha256(other.read_bytes()).digest() == hashlib.sha256(fmu.read_bytes()).digest(), fmu.name
+
+
+def test_the_guid_does_not_depend_on_what_this_machine_compiles(flexible_joint, tmp_path):
+    """An FMU built where there is no compiler is the same model."""
+    plant, observer = build_elsewhere(tmp_path, CC="no-such-compiler")
+    for other, fmu in ((plant, flexible_joint.plant), (observer, flexible_joint.observer)):
+        with zipfile.ZipFile(other) as archive, zipfile.ZipFile(fmu) as expected:
+            assert len(archive.namelist()) < len(expected.namelist())
+            assert archive.read("modelDescription.xml") == expected.read("modelDescription.xml")
+
+
+def test_a_changed_line_of_the_code_inside_gets_another_guid(flexible_joint, tmp_path, monkeypatch):
+    def changed(*arguments):
+        done = bundle(*arguments)
+        return replace(done, files={**done.files, "ndob_note.py": "# another line\n"})
+
+    monkeypatch.setattr(sys.modules["ndob_fmu.fmu.build"], "bundle", changed)  # the name stands for its function
+    other = build(MODELS["flexible_joint"], tmp_path)[0]
+    assert description(other).guid != description(flexible_joint.plant).guid
 
 
 def test_another_model_gets_another_guid(flexible_joint, tmp_path):
