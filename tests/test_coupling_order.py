@@ -17,6 +17,7 @@ from ndob_fmu.cosim import FmuComponent, System, Variable, algebraic_loops, simu
 from ndob_fmu.errors import CouplingError, UsageError
 
 ORDERS = {"jacobi": 1, "gauss-seidel": 1, "extrapolation": 2}
+ONE_STEP = {"stop_time": 1.0, "step_size": 1.0}
 STEPS = 2.0 ** -np.arange(5, 10)
 
 
@@ -96,6 +97,13 @@ def test_the_order_holds_where_one_component_takes_four_steps_in_one(scheme, ord
     """At the ends of its steps, that is: what it holds in between is of order one to look at."""
     found = slope(lambda h: error_of(h, scheme, every=4, step_ratios={slow: 4}))
     assert found == pytest.approx(order, abs=0.05)
+
+
+def test_an_output_that_only_shows_does_not_move_an_input_out_of_the_middle_of_the_step():
+    part = Mock(["u"], [Variable("shown", "output", dependencies=("u",))], output=lambda x, u: [u["u"]])
+    system = System({"clock": ramp(), "part": part}, ((("clock", "y"), ("part", "u")),))
+    simulate(system, stop_time=3.0, step_size=1.0, scheme="extrapolation")
+    assert received(part) == [0, 1.5, 2.5]
 
 
 def test_a_jump_inside_a_step_leaves_extrapolation_with_order_one():
@@ -192,7 +200,7 @@ def test_an_order_that_names_no_component_is_refused_with_the_nearest_one():
     with pytest.raises(
         CouplingError, match=r"component: expected one of observer, plant, received 'plnat'; .* mean 'plant'"
     ):
-        simulate(system, stop_time=1.0, step_size=1.0, scheme="gauss-seidel", order=["observer", "plnat"])
+        simulate(system, **ONE_STEP, scheme="gauss-seidel", order=["observer", "plnat"])
 
 
 # -- components with other rates
@@ -294,9 +302,14 @@ def ring(**parts):
 @pytest.mark.parametrize("k", [0.5, -0.9, 0.999, 2.0, -3.0, 1e3])
 def test_a_loop_at_the_start_is_solved_also_where_its_gain_is_above_one(k, caplog):
     """y = k (1 + y), so that y = k / (1 - k)."""
-    recording = simulate(ring(up=gain(k), back=static(lambda u: 1 + u)), stop_time=1.0, step_size=1.0)
+    recording = simulate(ring(up=gain(k), back=static(lambda u: 1 + u)), **ONE_STEP)
     assert recording["up.y"][0] == pytest.approx(k / (1 - k), rel=1e-8)
     assert recording["back.y"][0] == pytest.approx(1 / (1 - k), rel=1e-8)
+
+
+def test_a_long_loop_at_the_start_is_solved_although_each_exchange_leads_further_away():
+    recording = simulate(ring(up=gain(1e3), back=static(lambda u: 1 + u), **{n: gain() for n in "abcdef"}), **ONE_STEP)
+    np.testing.assert_allclose(recording.columns[0], [1e3 / -999, *[1 / -999] * 7], rtol=1e-8)
 
 
 def test_a_nonlinear_loop_at_the_start_is_solved(caplog):
@@ -304,7 +317,7 @@ def test_a_nonlinear_loop_at_the_start_is_solved(caplog):
     loop = ring(a=static(np.cos, declared=False), b=gain())
     parts = {**loop.components, "after": gain(2.0)}
     system = System(parts, (*loop.connections, (("b", "y"), ("after", "u"))))
-    recording = simulate(system, stop_time=1.0, step_size=1.0)
+    recording = simulate(system, **ONE_STEP)
     np.testing.assert_allclose(recording.columns[0], np.array([1, 1, 2]) * 0.7390851332151607, rtol=1e-9)
     assert caplog.text == ""
 
@@ -317,20 +330,20 @@ def test_a_loop_of_several_signals_at_the_start_is_solved():
     linear = Mock([f"u{i}" for i in names], [f"y{i}" for i in names], output=lambda x, u: A @ list(u.values()) + b)
     back = Mock([f"u{i}" for i in names], [f"y{i}" for i in names], output=lambda x, u: list(u.values()))
     pairs = tuple(((s, f"y{i}"), (t, f"u{i}")) for s, t in (("a", "b"), ("b", "a")) for i in names)
-    recording = simulate(System({"a": linear, "b": back}, pairs), stop_time=1.0, step_size=1.0)
+    recording = simulate(System({"a": linear, "b": back}, pairs), **ONE_STEP)
     np.testing.assert_allclose(recording.columns[0, :3], np.linalg.solve(np.eye(3) - A, b), rtol=1e-7)
 
 
 @pytest.mark.parametrize("function", [lambda u: 1 + u, lambda u: u**2 + 1, lambda u: float("nan") if u > 5 else 2 + u])
 def test_a_loop_without_a_solution_is_named_with_all_that_it_passes(function, caplog):
-    simulate(ring(up=gain(), back=static(function, declared=False, initially=("u",))), stop_time=1.0, step_size=1.0)
+    simulate(ring(up=gain(), back=static(function, declared=False, initially=("u",))), **ONE_STEP)
     assert "do not settle: algebraic loop up.y → back.u → back.y → up.u → up.y; the first" in caplog.text
 
 
 def test_a_signal_that_never_comes_to_rest_without_a_loop_is_named(caplog):
     count = itertools.count()
     restless = Mock([], ["y"], output=lambda x, u: [next(count)])
-    simulate(System({"a": restless, "b": gain()}, ((("a", "y"), ("b", "u")),)), stop_time=1.0, step_size=1.0)
+    simulate(System({"a": restless, "b": gain()}, ((("a", "y"), ("b", "u")),)), **ONE_STEP)
     assert "do not settle: a.y, b.y change whenever they are read" in caplog.text
 
 
@@ -339,7 +352,7 @@ def test_a_loop_of_booleans_that_flips_for_ever_is_named(caplog):
     u = Variable("u", "input", "Boolean")
     flip = Mock([u], [y], output=lambda x, u: [not u["u"]])
     keep = Mock([u], [y], output=lambda x, u: [u["u"]])
-    simulate(ring(flip=flip, keep=keep), stop_time=1.0, step_size=1.0)
+    simulate(ring(flip=flip, keep=keep), **ONE_STEP)
     assert "algebraic loop flip.y → keep.u → keep.y → flip.u → flip.y" in caplog.text
 
 
@@ -374,7 +387,7 @@ def test_two_loops_through_one_component_are_both_found():
 @pytest.mark.parametrize("declared", [True, False])
 def test_a_loop_that_acts_with_a_delay_during_the_run_is_told_only_if_it_is_sure_to_exist(declared, caplog):
     with caplog.at_level(logging.WARNING):
-        simulate(ring(a=static(lambda u: 0.5 * u), b=static(abs, declared=declared)), stop_time=1.0, step_size=1.0)
+        simulate(ring(a=static(lambda u: 0.5 * u), b=static(abs, declared=declared)), **ONE_STEP)
     assert ("algebraic loop a.y → b.u → b.y → a.u → a.y: after the start" in caplog.text) == declared
 
 
@@ -447,7 +460,7 @@ def test_a_loop_of_two_fmus_is_solved_at_the_start_and_its_delay_is_told(gain_fm
     starts = {("up", "k"): -3.0, ("up", "b"): 1.0, ("back", "k"): 1.0, ("back", "b"): 0.0}
     pairs = ((("up", "y"), ("back", "a")), (("back", "y"), ("up", "a")))
     system = System({name: FmuComponent(path, name) for name in ("up", "back")}, pairs, starts)
-    recording = simulate(system, stop_time=1.0, step_size=1.0)
+    recording = simulate(system, **ONE_STEP)
     np.testing.assert_allclose(recording.columns[0], [-0.75, -0.75], rtol=1e-9)
     assert "algebraic loop up.y → back.a → back.y → up.a → up.y: after the start" in caplog.text
 
