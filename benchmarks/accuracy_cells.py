@@ -7,7 +7,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from ndob_fmu.runtime.tuning import at_bandwidth, tuned_intensities
 
 MODEL = "flexible_joint"
 OUTPUTS = ("motor_angle", "link_angle")
-SHOWN = ("load_torque_at_sample", "load_torque_hat", "valid")
+SHOWN = ("load_torque_at_sample", "load_torque_hat")
 D0 = 5.0
 PAPER_PI, PAPER_RAMP = 1e12, 1.0
 STEADY_FROM, AFTER_STEP = 2.0, 0.2
@@ -104,7 +104,7 @@ QUICK = Plan(
 class Record:
     """What a run of the plant FMU gave: samples y_k (K,2) and d (K+1,) at t_k, and the estimates of ours without noise.
 
-    `ours` maps r to d̂(t_k | y_k), d̂(t_k + H | y_k) and whether y_k was used, (3,K).
+    `ours` maps r to d̂(t_k | y_k) and d̂(t_k + H | y_k), (2,K).
     """
 
     H: float
@@ -129,7 +129,7 @@ class Score:
     error at the sample and for the end of the step (ahead): without noise the largest; with noise |bias| + standard
     deviation, or the root mean square of a chirp. each: error of every record alone. Without noise also the samples to
     2 % from the start, the steps to 2 % after a step, None where it never stays there, and the largest |d̂|.
-    tuned: bandwidth (rad/s) that a scan found best. refused: samples that ours did not use, in all records.
+    tuned: bandwidth (rad/s) that a scan found best.
     """
 
     error: float
@@ -139,7 +139,6 @@ class Score:
     steps_after_step: int | None = None
     peak: float = 0.0
     tuned: float | None = None
-    refused: int = 0
 
 
 Key = tuple[float, str, float, str]  # H, signal, σ, estimator
@@ -220,7 +219,7 @@ def record(fmus: tuple[Path, Path], H: float, signal: Signal, plan: Plan, orders
 
 
 def observed(fmus: tuple[Path, Path], data: Record, samples: Array, sigma: float, order: int) -> Array:
-    """Drive the observer FMU with samples (K,2) and return what a Record has of ours, (3,K)."""
+    """Drive the observer FMU with samples (K,2) and return what a Record has of ours, (2,K)."""
     H, fmu = data.H, FmuComponent(fmus[1])
     outputs = [variable.name for variable in recordable(fmu.variables)]
     values = np.empty((len(samples), len(outputs)))
@@ -254,9 +253,8 @@ def ours_scores(fmus: tuple[Path, Path], data: Record, order: int, plan: Plan) -
         runs = [data.ours[order]]
         if sigma > 0.0:
             runs = [observed(fmus, data, samples, sigma, order) for samples in data.noisy(sigma, plan)]
-        at_sample, ahead, used = np.swapaxes(np.array(runs), 0, 1)
-        refused = int(np.sum(used == 0.0))
-        scores[_key(data, sigma, f"ours r={order}")] = replace(score(data, sigma, at_sample, ahead), refused=refused)
+        at_sample, ahead = np.swapaxes(np.array(runs), 0, 1)
+        scores[_key(data, sigma, f"ours r={order}")] = score(data, sigma, at_sample, ahead)
     return scores
 
 

@@ -62,7 +62,7 @@ def _noiseless(fmus: tuple[Path, Path], H: float, plan: Plan) -> list[Row]:
     steady = round(_STEADY_FROM / H)
 
     def errors(data: Record, order: int) -> tuple[float, float]:
-        at_sample, ahead, _ = data.ours[order]
+        at_sample, ahead = data.ours[order]
         return (
             float(np.max(np.abs(at_sample - data.d[:-1])[steady:])),
             float(np.max(np.abs(ahead - data.d[1:])[steady:])),
@@ -79,7 +79,7 @@ def _noiseless(fmus: tuple[Path, Path], H: float, plan: Plan) -> list[Row]:
             Row(f"{signal.name}, r = 3: largest error at the sample", H, _REQUIRED_SINE[signal].get(H), at_sample)
         )
         rows.append(Row(f"{signal.name}, r = 3: largest error of the prediction, 3.3·H³·max abs d'''", H, bound, ahead))
-    starts = [score(constant, 0.0, *(e[None] for e in constant.ours[r][:2])) for r in (1, 2, 3)]
+    starts = [score(constant, 0.0, *(e[None] for e in constant.ours[r])) for r in (1, 2, 3)]
     samples = max(float("inf") if s.samples_to_2_percent is None else s.samples_to_2_percent for s in starts)
     rows.append(Row("start-up from −x(0), r = 1, 2, 3: samples to 2 %", H, _REQUIRED_SAMPLES.get(H), samples))
     rows.append(Row("start-up from −x(0): largest abs d̂, 3·D₀", H, 3.0 * D0, max(s.peak for s in starts)))

@@ -19,7 +19,6 @@ from ndob_fmu.results import atomic_path
 
 SAME = 0.01  # two errors that differ by less count as equal
 ROUNDING = 5e-8  # errors below it are rounding errors of the samples, on a disturbance of size one
-_REFUSED_AT_A_RESTART = 10
 COLUMNS = {
     "ours r=2": "ours, r = 2",
     "ours r=3": "ours, r = 3",
@@ -39,8 +38,6 @@ REASONS = {
     "rounding": "both errors are below 5e-8: rounding errors of samples and arithmetic, which a slower filter averages",
     "signal": "this EKF is tuned to this very signal by a scan, ours by the bound only; told the same, the EKF is no "
     "better than ours",
-    "restart": "ours took what followed the step for bad samples, refused ten of them and started anew, which forgets "
-    "the old value faster",
     "scatter": "the difference is within the scatter of the records (two standard errors of their mean ratio)",
     "unexplained": "ours is worse and this script cannot tell why",
 }
@@ -130,7 +127,7 @@ def compare(
     if max(ours.error, other.error) <= ROUNDING:
         return ratio, "rounding"
     if ratio <= 1.0 + SAME:
-        return ratio, "restart" if ratio < 1.0 - SAME and ours.refused >= len(ours.each) * _REFUSED_AT_A_RESTART else ""
+        return ratio, ""
     if baseline and ours.error <= told.error * (1.0 + SAME):
         return ratio, "signal"
     each = np.array(ours.each) / np.array(other.each)
