@@ -47,6 +47,8 @@ bool python_alive(void);
 /* Keep the calling thread's thread state from now on, instead of a new one for each call. */
 void python_keep_thread(void);
 void python_drop_thread(void);
+/* Take a folder from Python's path again. */
+void python_forget_path(const char *folder);
 void python_leave(void);
 
 /* -- log.c */
@@ -68,8 +70,8 @@ void log_from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2S
                     fmi2String message, ...);
 /* Return the categories' bits, and in `unknown` the first name that is none. */
 unsigned log_categories(size_t count, const fmi2String names[], const char **unknown);
-/* Copy a text as one line: whatever is no character of a line becomes a space. */
-void one_line(char *text);
+/* The number of bytes of the first character of UTF-8, 0 if it is none. */
+size_t character(const char *text);
 
 /* -- handles.c: names for objects that can be told from the names of freed ones */
 

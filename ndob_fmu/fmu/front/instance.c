@@ -13,6 +13,7 @@
 #include <unistd.h>
 
 #define SLAVE_BINARY "pythonfmu-export.so"
+#define FILE_SCHEME "file://"
 
 Slave slave;
 static Handles instances;
@@ -104,12 +105,8 @@ fmi2Status leave(Instance *self, fmi2Status status) {
 }
 
 static bool is_utf8(const char *text) {
-    for (const unsigned char *c = (const unsigned char *)text; *c;) {
-        int more = *c < 0x80 ? 0 : *c >= 0xc2 && *c < 0xe0 ? 1 : *c >= 0xe0 && *c < 0xf0 ? 2 : *c >= 0xf0 && *c < 0xf5 ? 3 : -1;
-        if (more < 0) return false;
-        for (c++; more; more--, c++)
-            if ((*c & 0xc0) != 0x80) return false;
-    }
+    for (size_t length; *text; text += length)
+        if (!(length = character(text))) return false;
     return true;
 }
 
@@ -126,9 +123,9 @@ static char *slave_location(Instance *self, const char *folder) {
     if (!location) return NULL;
     if (strstr(folder, "%20")) {
         self->folder = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
-        sprintf(location, "file:///proc/self/fd/%d", self->folder);
+        sprintf(location, FILE_SCHEME "/proc/self/fd/%d", self->folder);
     } else {
-        sprintf(location, "file://%s", folder);
+        sprintf(location, FILE_SCHEME "%s", folder);
     }
     return location;
 }
@@ -185,6 +182,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     } else if (prepared(self, type, guid, location, &folder) && (slave_folder = slave_location(self, folder))) {
         python_keep_thread();
         self->slave = slave.Instantiate(name, type, guid, slave_folder, &self->callbacks, visible, fmi2True);
+        /* pythonfmu puts it first for good; by now all that the FMU carries is imported. */
+        python_forget_path(slave_folder + strlen(FILE_SCHEME));
         if (self->slave && !(handle = handle_new(&instances, self))) slave.FreeInstance(self->slave);
     }
     free(folder);
@@ -230,12 +229,14 @@ fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean tolerance_de
                                fmi2Boolean stop_defined, fmi2Real stop) {
     Instance *self = enter(component, __func__, INSTANTIATED);
     if (!self) return fmi2Error;
-    if (!isfinite(start) || (stop_defined && !(isfinite(stop) && stop > start))) {
+    if (!stop_defined) stop = HUGE_VAL;
+    if (!isfinite(start) || !(stop >= start)) {
         log_line(&self->log, fmi2Error, "%s: expected a finite start time and a later stop time, received %g and %g", __func__,
-                 start, stop_defined ? stop : HUGE_VAL);
+                 start, stop);
         return leave(self, fmi2Error);
     }
-    fmi2Status status = judged(self, slave.SetupExperiment(self->slave, tolerance_defined, tolerance, start, stop_defined, stop));
+    stop_defined = isfinite(stop); /* there are hosts that say "infinite" for "not defined" */
+    fmi2Status status = judged(self, slave.SetupExperiment(self->slave, tolerance_defined, tolerance, start, stop_defined, stop_defined ? stop : 0.0));
     if (status < fmi2Discard) self->progress = (Progress){INSTANTIATED, true, start};
     return leave(self, status);
 }

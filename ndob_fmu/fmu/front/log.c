@@ -17,11 +17,23 @@ static const char *const CATEGORIES[] = {
     [fmi2Fatal] = "logStatusFatal",
 };
 
-void one_line(char *text) {
+size_t character(const char *text) {
+    const unsigned char *c = (const unsigned char *)text;
+    size_t length = *c < 0x80 ? 1 : *c >= 0xc2 && *c < 0xe0 ? 2 : *c >= 0xe0 && *c < 0xf0 ? 3 : *c >= 0xf0 && *c < 0xf5 ? 4 : 0;
+    for (size_t i = 1; i < length; i++)
+        if ((c[i] & 0xc0) != 0x80) return 0;
+    return length;
+}
+
+/* Make one line of UTF-8 of it, which is what a host can show. */
+static void one_line(char *text) {
     char *to = text;
-    for (const char *from = text; *from; from++) {
-        char c = (unsigned char)*from < ' ' || *from == 127 ? ' ' : *from;
+    for (const char *from = text; *from;) {
+        size_t length = character(from);
+        char c = (unsigned char)*from < ' ' || *from == 127 ? ' ' : length ? *from : '?';
         if (c != ' ' || (to > text && to[-1] != ' ')) *to++ = c;
+        for (size_t i = 1; i < length; i++) *to++ = from[i];
+        from += length ? length : 1;
     }
     while (to > text && to[-1] == ' ') to--;
     *to = '\0';

@@ -41,7 +41,7 @@ __asm__(".pushsection .bss.ndob_fmu_python_lock,\"aw\",@nobits\n"
 extern pthread_mutex_t ndob_fmu_python_lock __attribute__((visibility("default")));
 _Static_assert(sizeof(pthread_mutex_t) <= 64, "the lock has to fit");
 
-/* What is called of Python: the stable ABI. */
+/* What is called of Python; each has been there since 3.4 at least. */
 typedef struct PyObject PyObject;
 #define PYTHON_FUNCTIONS(F) \
     F(int, Py_IsInitialized, (void)) \
@@ -51,6 +51,9 @@ typedef struct PyObject PyObject;
     F(void *, PyGILState_GetThisThreadState, (void)) \
     F(void *, PyEval_SaveThread, (void)) \
     F(void, PyEval_RestoreThread, (void *)) \
+    F(int, PyGILState_Check, (void)) \
+    F(void, PyThreadState_Clear, (void *)) \
+    F(void, PyThreadState_DeleteCurrent, (void)) \
     F(PyObject *, PyImport_ImportModule, (const char *)) \
     F(void, PyErr_Fetch, (PyObject **, PyObject **, PyObject **)) \
     F(void, PyErr_Clear, (void)) \
@@ -60,6 +63,8 @@ typedef struct PyObject PyObject;
     F(PyObject *, PySys_GetObject, (const char *)) \
     F(int, PySequence_Contains, (PyObject *, PyObject *)) \
     F(int, PyList_Append, (PyObject *, PyObject *)) \
+    F(ssize_t, PySequence_Index, (PyObject *, PyObject *)) \
+    F(int, PySequence_DelItem, (PyObject *, ssize_t)) \
     F(void, Py_DecRef, (PyObject *))
 
 static struct {
@@ -414,18 +419,19 @@ static bool find(const Description *description, Reasons *reasons, char *warning
     return good;
 }
 
-static void drop(void *state) {
-    if (state && python_alive()) {
-        py.PyEval_RestoreThread(state);
-        py.PyGILState_Release(1 /* PyGILState_UNLOCKED */);
-    }
+/* At a thread's end. Python's own note of the state may be gone already, so that it cannot be released by it. */
+static void delete_state(void *state) {
+    if (!python_alive()) return;
+    py.PyEval_RestoreThread(state);
+    py.PyThreadState_Clear(state);
+    py.PyThreadState_DeleteCurrent();
 }
 
 bool python_start(const Description *description, char *reason, size_t size, char *warning, size_t warning_size) {
     Reasons reasons = {reason, size, 0};
     *reason = *warning = '\0';
     pthread_mutex_lock(&ndob_fmu_python_lock);
-    if (!ready && pthread_key_create(&kept_state, drop) == 0) {
+    if (!ready && pthread_key_create(&kept_state, delete_state) == 0) {
         if (find(description, &reasons, warning, warning_size)) ready = true;
         else pthread_key_delete(kept_state);
     }
@@ -446,10 +452,22 @@ void python_keep_thread(void) {
 }
 
 void python_drop_thread(void) {
-    if (!ready) return;
-    void *state = pthread_getspecific(kept_state);
+    void *state = ready ? pthread_getspecific(kept_state) : NULL;
+    if (!state || !python_alive() || py.PyGILState_Check()) return;
     pthread_setspecific(kept_state, NULL);
-    drop(state);
+    /* Counted down, not deleted: the host may have entered Python with it too. */
+    py.PyEval_RestoreThread(state);
+    py.PyGILState_Release(1 /* PyGILState_UNLOCKED */);
+}
+
+void python_forget_path(const char *folder) {
+    int state = py.PyGILState_Ensure();
+    PyObject *path = py.PySys_GetObject("path"), *name = py.PyUnicode_DecodeFSDefault(folder);
+    ssize_t index = path && name ? py.PySequence_Index(path, name) : -1;
+    if (index >= 0) py.PySequence_DelItem(path, index);
+    if (name) py.Py_DecRef(name);
+    py.PyErr_Clear();
+    py.PyGILState_Release(state);
 }
 
 void python_leave(void) {
