@@ -67,7 +67,12 @@ def test_the_estimate_starts_within_ten_samples_and_without_a_peak(flexible_join
 
 @pytest.mark.parametrize(
     ("scheme", "first", "shift"),
-    [("jacobi", "plant", 0), ("gauss-seidel", "observer", 0), ("gauss-seidel", "plant", 1)],
+    [
+        ("jacobi", "plant", 0),
+        ("extrapolation", "plant", 0),
+        ("gauss-seidel", "observer", 0),
+        ("gauss-seidel", "plant", 1),
+    ],
 )
 def test_a_master_that_steps_the_plant_first_moves_the_observers_clock_by_a_step(flexible_joint, scheme, first, shift):
     """FMI timing: inputs set before doStep(t) are values at t, outputs after it values at t + H."""

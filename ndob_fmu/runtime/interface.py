@@ -18,7 +18,8 @@ class Variable:
     """One FMI variable.
 
     `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
-    those of the end of the last step, whatever the inputs become afterwards.
+    those of the end of the last step, whatever the inputs become afterwards. `sampled`: an input that is read as of the
+    start of a step; a value extrapolated into the step would be wrong.
     """
 
     name: str
@@ -32,13 +33,14 @@ class Variable:
     nominal: float | None = None
     items: Mapping[str, int] | None = None
     depends_on: tuple[str, ...] = ()
+    sampled: bool = False
 
     @property
     def variability(self) -> str:
-        """FMI variability: parameters are fixed, numbers that flow are continuous, flags discrete."""
+        """FMI variability: parameters are fixed, numbers that flow are continuous, samples and flags discrete."""
         if self.causality == "parameter":
             return "fixed"
-        return "continuous" if self.type == "Real" else "discrete"
+        return "continuous" if self.type == "Real" and not self.sampled else "discrete"
 
 
 def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
@@ -77,7 +79,7 @@ def plant_variables(eq: Equations) -> tuple[Variable, ...]:
 def observer_variables(eq: Equations) -> tuple[Variable, ...]:
     """Return the variables of `<Name>Observer`, its outputs in the order of `Estimate`'s fields."""
     inputs = [_signal(eq, name, "input", 0.0, "Input of the plant") for name in eq.inputs]
-    inputs += [_signal(eq, name, "input", 0.0, "Measured output of the plant") for name in eq.outputs]
+    inputs += [_signal(eq, name, "input", 0.0, "Measured output of the plant", sampled=True) for name in eq.outputs]
     outputs = [_output(eq, f"{s}_hat", s, f"Estimate of {s} for the end of the step") for s in eq.states]
     for suffix, text, depends_on in (
         ("hat", "Estimate of {} for the end of the step", eq.outputs),
@@ -248,9 +250,18 @@ def _output(
     )
 
 
-def _signal(eq: Equations, name: str, causality: str, start: float | None, role: str) -> Variable:
+def _signal(
+    eq: Equations, name: str, causality: str, start: float | None, role: str, *, sampled: bool = False
+) -> Variable:
     text = eq.descriptions.get(name, name.replace("_", " "))
-    return Variable(name=name, causality=causality, description=f"{role}: {text}", unit=_unit(eq, name), start=start)
+    return Variable(
+        name=name,
+        causality=causality,
+        description=f"{role}: {text}",
+        unit=_unit(eq, name),
+        start=start,
+        sampled=sampled,
+    )
 
 
 def _unit(eq: Equations, name: str) -> str:
