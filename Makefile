@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench clean
+.PHONY: demo test build lint bench regression clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -20,6 +20,9 @@ lint: .venv/installed-test
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks.accuracy
+
+regression: .venv/installed-test build
+	$(BIN)/python fmus/regression.py build/fmus
 
 clean:
 	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis

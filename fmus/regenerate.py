@@ -1,12 +1,14 @@
-"""Write the reference files of the FlexibleJoint FMUs' default experiment.
+"""Write the files of the FMI cross-check for the FlexibleJoint FMUs.
 
     python fmus/regenerate.py [FOLDER]
 
-FOLDER, by default the one this file lies in, gets FlexibleJointPlant/ and FlexibleJointObserver/ with the files of the
-FMI cross-check: `_in.csv` the inputs, `_ref.csv` the reference, `_ref.opt` how to run. No FMU is involved. The plant's
-reference comes from SciPy and from the equations written out below, so that it shares nothing with what it checks. The
-observer's are runs of its core over samples of that plant, `_ref` by its default method, `_paper_ref` by the paper's.
-They tell that an estimate changed, not that it is right; that is for the tests of the theory.
+FOLDER, by default the one this file lies in, gets FlexibleJointPlant/ and FlexibleJointObserver/ with two experiments
+each: in `<Name>_in.csv` the motor and the load jump, `<Name>_paper_…` is the paper's example, the FMUs' default, in
+which nothing does. `_in.csv` are the inputs, `_ref.csv` the reference, `_ref.opt` how to run; fmus/regression.py runs
+them. No FMU is involved here. The plant's references come from SciPy and from the equations written out below, so that
+they share nothing with what they check. The observer's are runs of its core over samples of that plant, `_ref` by its
+default method, `_paper_ref` by the paper's. They tell that an estimate changed, not that it is right; that is for the
+tests of the theory.
 
 Commit new files only together with the reason why the old ones no longer hold.
 """
@@ -14,6 +16,8 @@ Commit new files only together with the reason why the old ones no longer hold.
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from math import sin
 from pathlib import Path
 from typing import Any
@@ -33,46 +37,91 @@ Array = NDArray[np.float64]
 STOP_TIME = 20.0
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 OUTPUTS = ("motor_angle", "link_angle")
-LOAD_TORQUE = 2.0
+GENERATOR = 2.0
 # The observer's step is ten times its default, because every one of its samples must stand in the file of inputs:
 # fmpy puts a straight line between two rows, and at π = 1e12 the corners would appear in the estimate as impulses.
 OBSERVER_STEP = 0.01
 OUTPUT_INTERVAL = 0.05
 
 
-def plant_solution(times: Array) -> Array:
-    """Return x (len(times), 4) of the paper's example from x = (1, 1, 1, 1), u = 0, d = 2."""
+@dataclass(frozen=True)
+class Experiment:
+    """Torques of the motor and of the load, besides the generator's, from each of the times on (s, N·m)."""
 
-    def derivatives(t: float, x: Array) -> list[float]:
-        spring = x[0] - x[2]
-        return [x[1], -spring - 10.0 * sin(x[0]), x[3], spring - x[3] + LOAD_TORQUE]
+    torques: Mapping[float, tuple[float, float]]
 
-    span = (times[0], times[-1])
-    solution = solve_ivp(derivatives, span, [1.0] * 4, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-14)
-    return np.asarray(solution.y.T)
+    def __call__(self, times: Array) -> Array:
+        """Return both torques (len(times), 2)."""
+        since = np.searchsorted(list(self.torques), times + 1e-9) - 1
+        return np.array(list(self.torques.values()))[since]
 
 
-def plant_reference() -> Recording:
-    """Return what the plant FMU puts out."""
+PAPER = Experiment({0.0: (0.0, 0.0)})
+JUMPS = Experiment(
+    {
+        0.0: (0.0, 0.0),
+        4.0: (3.0, 0.0),
+        6.0: (3.0, -1.5),
+        8.0: (-2.0, -1.5),
+        10.0: (-2.0, 1.0),
+        12.0: (0.0, 1.0),
+        16.0: (0.0, 0.0),
+    }
+)
+
+
+def plant_solution(times: Array, experiment: Experiment) -> Array:
+    """Return x (len(times), 4) of the paper's example, from x = (1, 1, 1, 1), under the experiment's torques."""
+    x, at_start = np.empty((len(times), 4)), np.ones(4)
+    starts = list(experiment.torques)
+    for (start, (motor, load)), end in zip(experiment.torques.items(), [*starts[1:], times[-1]], strict=True):
+
+        def derivatives(t: float, x: Array, u: float = motor, d: float = GENERATOR + load) -> list[float]:
+            spring = x[0] - x[2]
+            return [x[1], -spring - 10.0 * sin(x[0]), x[3], spring - x[3] + u + d]
+
+        inside = (times > start - 1e-9) & (times < end + 1e-9)
+        wanted = np.clip(times[inside], start, end)
+        solution = solve_ivp(
+            derivatives, (start, end), at_start, method="DOP853", t_eval=wanted, rtol=1e-13, atol=1e-14
+        )
+        x[inside], at_start = solution.y.T, solution.y[:, -1]
+    return x
+
+
+def plant_inputs(experiment: Experiment) -> Recording:
+    """Return what the plant FMU takes in, at every step."""
     times = _grid(OUTPUT_INTERVAL)
-    x = plant_solution(times)
+    return Recording(times, ("motor_torque", "load_torque"), experiment(times))
+
+
+def plant_reference(experiment: Experiment) -> Recording:
+    """Return what the plant FMU puts out; its disturbance at the end of a step is made with the input of that step."""
+    times = _grid(OUTPUT_INTERVAL)
+    x = plant_solution(times, experiment)
     names = ("motor_angle", "link_angle", "link_rate", "motor_rate", "load_torque_total")
-    return Recording(times, names, np.column_stack([x[:, [2, 0, 1, 3]], np.full(len(times), LOAD_TORQUE)]))
+    load = experiment(np.concatenate([times[:1], times[:-1]]))[:, 1]
+    return Recording(times, names, np.column_stack([x[:, [2, 0, 1, 3]], GENERATOR + load]))
 
 
-def observer_inputs() -> Recording:
+def observer_inputs(experiment: Experiment) -> Recording:
     """Return what the observer FMU takes in, at every step."""
     times = _grid(OBSERVER_STEP)
-    x = plant_solution(times)
-    return Recording(times, ("motor_torque", *OUTPUTS), np.column_stack([np.zeros(len(times)), x[:, [2, 0]]]))
+    x = plant_solution(times, experiment)
+    return Recording(times, ("motor_torque", *OUTPUTS), np.column_stack([experiment(times)[:, 0], x[:, [2, 0]]]))
 
 
-def observers() -> dict[str, Any]:
-    """Return the observers of both methods at the FMU's start values, by the name that their reference has."""
+def observers() -> tuple[Any, Any]:
+    """Return the observers of methods 1 and 2 at the FMU's start values."""
     eq = load_model("flexible_joint").equations
     tuning, parameters = eq.observer, list(eq.parameters.values())
     paper = paper_observer(
-        eq, parameters, PiSchedule(tuning.pi_start, tuning.pi_end, tuning.pi_ramp_time), alpha=tuning.alpha
+        eq,
+        parameters,
+        PiSchedule(tuning.pi_start, tuning.pi_end, tuning.pi_ramp_time),
+        alpha=tuning.alpha,
+        noise_std=tuning.noise_std,
+        disturbance_bound=eq.disturbance_bound,
     )
     sampled = sampled_observer(
         eq,
@@ -86,7 +135,7 @@ def observers() -> dict[str, Any]:
         alpha=tuning.alpha,
         pi=tuning.pi_end,
     )
-    return {"FlexibleJointObserver_ref.csv": sampled, "FlexibleJointObserver_paper_ref.csv": paper}
+    return paper, sampled
 
 
 def observer_reference(observer: Any, inputs: Recording) -> Recording:
@@ -99,11 +148,11 @@ def observer_reference(observer: Any, inputs: Recording) -> Recording:
         estimates.append(estimate)
     names = (
         *(f"{state}_hat" for state in STATES),
-        *("load_torque_hat", "load_torque_at_sample"),
+        *("load_torque_hat", "load_torque_at_sample", "load_torque_std"),
         *(f"{output}_residual" for output in OUTPUTS),
         "valid",
     )
-    rows = [[*e.x_hat, *e.d_hat, *e.d_at_sample, *e.residual, e.valid] for e in estimates]
+    rows = [[*e.x_hat, *e.d_hat, *e.d_at_sample, *e.d_std, *e.residual, e.valid] for e in estimates]
     every = round(OUTPUT_INTERVAL / OBSERVER_STEP)
     return Recording(
         inputs.time[::every], names, np.array(rows, dtype=float)[::every], (*["Real"] * (len(names) - 1), "Boolean")
@@ -129,13 +178,18 @@ def _write_options(path: Path, step_size: float, tolerance: float) -> None:
 def main(folder: Path) -> None:
     """Write all files into the folder."""
     plant, observer = folder / "FlexibleJointPlant", folder / "FlexibleJointObserver"
-    write_csv(plant / "FlexibleJointPlant_ref.csv", plant_reference())
-    _write_options(plant / "FlexibleJointPlant_ref.opt", OUTPUT_INTERVAL, 1e-8)
-    inputs = observer_inputs()
-    write_csv(observer / "FlexibleJointObserver_in.csv", inputs)
-    for name, core in observers().items():
-        write_csv(observer / name, observer_reference(core, inputs))
-    _write_options(observer / "FlexibleJointObserver_ref.opt", OBSERVER_STEP, 1e-6)
+    paper, sampled = observers()
+    for ending, experiment, core in (("", JUMPS, sampled), ("_paper", PAPER, paper)):
+        name = f"FlexibleJointPlant{ending}"
+        if experiment is not PAPER:
+            write_csv(plant / f"{name}_in.csv", plant_inputs(experiment))
+        write_csv(plant / f"{name}_ref.csv", plant_reference(experiment))
+        _write_options(plant / f"{name}_ref.opt", OUTPUT_INTERVAL, 1e-8)
+        name = f"FlexibleJointObserver{ending}"
+        inputs = observer_inputs(experiment)
+        write_csv(observer / f"{name}_in.csv", inputs)
+        write_csv(observer / f"{name}_ref.csv", observer_reference(core, inputs))
+        _write_options(observer / f"{name}_ref.opt", OBSERVER_STEP, 1e-6)
 
 
 if __name__ == "__main__":
