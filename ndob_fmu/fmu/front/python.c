@@ -230,7 +230,7 @@ static bool from_system(Candidate *candidate, Reasons *reasons) {
     const char *path = getenv("PATH");
     char folders[PATH_MAX], *rest = folders;
     char tried[PATH_MAX] = "";
-    snprintf(folders, sizeof folders, "%s:/usr/local/bin:/usr/bin", path ? path : "");
+    snprintf(folders, sizeof folders, "%s", path ? path : "/usr/local/bin:/usr/bin");
     for (const char *folder; (folder = strsep(&rest, ":"));) {
         char executable[PATH_MAX + 16];
         if (*folder != '/') continue;
