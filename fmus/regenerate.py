@@ -38,8 +38,8 @@ STOP_TIME = 20.0
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 OUTPUTS = ("motor_angle", "link_angle")
 GENERATOR = 2.0
-# The observer's step is ten times its default, because every one of its samples must stand in the file of inputs:
-# fmpy puts a straight line between two rows, and at π = 1e12 the corners would appear in the estimate as impulses.
+# The observer's step is ten times its default, because every one of its samples must stand in the file of inputs: fmpy
+# holds a sample until the next row, and at π = 1e12 the stairs would appear in the estimate as impulses.
 OBSERVER_STEP = 0.01
 OUTPUT_INTERVAL = 0.05
 

@@ -180,7 +180,7 @@ def test_ranges_are_those_that_the_observer_accepts(fmus):
 
 def test_every_variable_has_a_description_and_what_fmi_fixes_for_its_causality(fmus):
     expected = {
-        "input": ({"continuous"}, "exact"),  # fmpy fills in what the standard says for inputs
+        "input": ({"continuous", "discrete"}, "exact"),  # fmpy fills in what the standard says for inputs
         "output": ({"continuous", "discrete"}, "calculated"),
         "parameter": ({"fixed"}, "exact"),
     }
