@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench regression clean
+.PHONY: demo test build lint bench regression exits clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -23,6 +23,9 @@ bench: .venv/installed-test
 
 regression: .venv/installed-test build
 	$(BIN)/python fmus/regression.py build/fmus
+
+exits: .venv/installed-test
+	$(BIN)/python tests/native_host.py 100
 
 clean:
 	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis
