@@ -16,7 +16,7 @@ from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu.assumptions import check
 from ndob_fmu.emit import emit_python
-from ndob_fmu.fmu.bundle import bundle
+from ndob_fmu.fmu.bundle import Bundle, bundle
 from ndob_fmu.fmu.description import complete
 from ndob_fmu.fmu.extras import extras
 from ndob_fmu.fmu.front import with_front
@@ -45,18 +45,26 @@ def build(model: Model, out: str | Path = "build/fmus") -> tuple[Path, Path]:
 
 def _build(model: Model, part: Part, variables: tuple[Variable, ...], equations_text: str, folder: Path) -> Path:
     name = f"{model.name}{part}"
-    content = bundle(name, f"{part.lower()}_slave", f"{part}Slave", equations_text)
+    content = bundle(name, f"{part.lower()}_slave", f"{part}Slave", equations_text, ("EQUATIONS",))
+    return package(folder / f"{name}.fmu", content, variables, extras(model, part, variables))
+
+
+def package(path: Path, content: Bundle, variables: tuple[Variable, ...], added: Mapping[str, bytes]) -> Path:
+    """Write the FMU `path` of this code, with these variables and added files, and return its path.
+
+    Raises ModelError for a unit that is none, UsageError where the folder cannot be written.
+    """
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, _imports_undone(work):
         source = Path(work, "source")
         for relative, text in content.files.items():
-            path = source / relative
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, "utf-8")
+            inside = source / relative
+            inside.parent.mkdir(parents=True, exist_ok=True)
+            inside.write_text(text, "utf-8")
         carried = {source / Path(relative).parts[0] for relative in content.files if relative != content.entry}
         stock = FmuBuilder.build_FMU(source / content.entry, dest=work, project_files=sorted(carried))
-        with atomic_path(folder / f"{name}.fmu") as target:
-            _repack(stock, target, variables, extras(model, part, variables))
-    return folder / f"{name}.fmu"
+        with atomic_path(path) as target:
+            _repack(stock, target, variables, added)
+    return path
 
 
 def _repack(stock: Path, target: Path, variables: tuple[Variable, ...], added: Mapping[str, bytes]) -> None:

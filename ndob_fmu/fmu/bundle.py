@@ -7,7 +7,7 @@ first one's. Every bundled module is therefore named by a digest of its content.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,32 +26,38 @@ class Bundle:
     digest: str
 
 
-def bundle(class_name: str, slave_module: str, slave_class: str, equations_text: str) -> Bundle:
-    """Return the files of the FMU `class_name`, whose slave is `slave_class` of fmus/`slave_module`.py."""
+def bundle(
+    class_name: str, slave_module: str, slave_class: str, data_text: str = "", arguments: Sequence[str] = ()
+) -> Bundle:
+    """Return the files of the FMU `class_name`, whose slave is `slave_class` of fmus/`slave_module`.py.
+
+    `data_text` is a module that defines the `arguments` that the slave is made with, like EQUATIONS.
+    """
     core = {path.name: path.read_text("utf-8") for path in sorted(_RUNTIME.glob("*.py"))}
     slaves = {path.name: path.read_text("utf-8") for path in sorted(shipped_folder("fmus").glob("*slave*.py"))}
     package = f"ndob_runtime_{_digest(core | slaves)}"
-    equations = f"ndob_equations_{_digest({'': equations_text, 'package': package})}"
+    data = f"ndob_equations_{_digest({'': data_text, 'package': package})}"
 
     def renamed(text: str) -> str:
         return text.replace("ndob_fmu.runtime", package).replace("from fmus.", f"from {package}.")
 
     files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
-    files[f"{equations}.py"] = renamed(equations_text)
+    if arguments:
+        files[f"{data}.py"] = renamed(data_text)
     modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
         # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
         # by the time another FMU of the process asks for the rest.
         f"from {package} import {modules}\n"
-        f"from {equations} import EQUATIONS\n"
-        f"from {package}.{slave_module} import {slave_class}\n\n\n"
+        + (f"from {data} import {', '.join(arguments)}\n" if arguments else "")
+        + f"from {package}.{slave_module} import {slave_class}\n\n\n"
         f"class {class_name}({slave_class}):\n"
-        f'    """The {slave_class} of these equations."""\n\n'
+        f'    """The {slave_class} of this FMU."""\n\n'
         # pythonfmu's binary gives up one reference too many to this module's globals at every load. A function
         # holds one; without any the globals are freed under the module, and the next load crashes the host.
         f"    def __init__(self, **kwargs):\n"
-        f"        super().__init__(EQUATIONS, **kwargs)\n"
+        f"        super().__init__({''.join(f'{name}, ' for name in arguments)}**kwargs)\n"
     )
     digest = _digest(files | {"": entry_text})
     entry = f"{class_name}_{digest}.py"

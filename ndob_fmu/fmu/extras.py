@@ -14,9 +14,14 @@ from ndob_fmu.runtime.interface import Variable
 
 
 def extras(model: Model, part: Part, variables: Sequence[Variable]) -> dict[str, bytes]:
-    """Return the contents of these files by their path in the archive."""
+    """Return the contents of these files for the plant or the observer of a model, by their path in the archive."""
+    return surroundings(manual(model, part, variables), draw_icon(model, part))
+
+
+def surroundings(page: str, icon: bytes) -> dict[str, bytes]:
+    """Return the contents of these files for an FMU with this manual (HTML) and icon (PNG)."""
     texts = {
         f"documentation/{path.relative_to(TEXTS).as_posix()}": path.read_text("utf-8") for path in TEXTS.rglob("*.txt")
     }
-    texts["documentation/index.html"] = manual(model, part, variables)
-    return {"model.png": draw_icon(model, part)} | {name: text.encode() for name, text in texts.items()}
+    texts["documentation/index.html"] = page
+    return {"model.png": icon} | {name: text.encode() for name, text in texts.items()}

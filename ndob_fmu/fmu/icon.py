@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from itertools import pairwise
 
 import matplotlib
@@ -13,12 +14,19 @@ from ndob_fmu.fmu.manual import Part
 from ndob_fmu.model import Model
 
 _SIZE, _DPI = 200, 100  # pixels; FMI recommends at least 100
-_INK, _FACE = {"Plant": "#1f4e79", "Observer": "#7a3e00"}, {"Plant": "#eaf2fa", "Observer": "#fdf1e3"}
+_COLOURS = {"Plant": ("#1f4e79", "#eaf2fa"), "Observer": ("#7a3e00", "#fdf1e3")}
 
 
 def draw_icon(model: Model, part: Part) -> bytes:
-    """Return the icon as PNG: the same bytes for the same model, whatever style the user has set for figures."""
-    ink = _INK[part]
+    """Return the icon of a model's plant or observer as PNG."""
+    return draw_block(model.name, part.lower(), *_signals(model, part), *_COLOURS[part])
+
+
+def draw_block(name: str, label: str, into: Sequence[str], out: Sequence[str], ink: str, face: str) -> bytes:
+    """Return a block with a name, a label below it and the symbols of its signals as PNG, in the colours ink and face.
+
+    The same arguments give the same bytes, whatever style the user has set for figures.
+    """
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         figure = Figure(figsize=(_SIZE / _DPI, _SIZE / _DPI), dpi=_DPI)
@@ -26,10 +34,9 @@ def draw_icon(model: Model, part: Part) -> bytes:
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
         axes.set_axis_off()
         block = FancyBboxPatch(
-            (0.2, 0.16), 0.6, 0.68, boxstyle="round,pad=0,rounding_size=0.04", fc=_FACE[part], ec=ink, lw=2.0
+            (0.2, 0.16), 0.6, 0.68, boxstyle="round,pad=0,rounding_size=0.04", fc=face, ec=ink, lw=2.0
         )
         axes.add_patch(block)
-        into, out = _signals(model, part)
         for x, symbols in ((0.02, into), (0.8, out)):
             for k, symbol in enumerate(symbols):
                 y = 0.84 - 0.68 * (k + 1) / (len(symbols) + 1)
@@ -40,8 +47,8 @@ def draw_icon(model: Model, part: Part) -> bytes:
                     arrowprops={"arrowstyle": "-|>", "color": ink, "shrinkA": 0, "shrinkB": 0},
                 )
                 axes.text(x + 0.07, y + 0.03, symbol, ha="center", va="bottom", size=11, color=ink)
-        axes.text(0.5, 0.6, _broken(model.name), ha="center", va="center", size=_fitting(model.name), color=ink)
-        axes.text(0.5, 0.33, part.lower(), ha="center", va="center", size=9, style="italic", color=ink)
+        axes.text(0.5, 0.6, _broken(name), ha="center", va="center", size=_fitting(name), color=ink)
+        axes.text(0.5, 0.33, label, ha="center", va="center", size=9, style="italic", color=ink)
         png = io.BytesIO()
         figure.savefig(png, format="png", metadata={"Software": None})
     return png.getvalue()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from html import escape
 from pathlib import Path
 from string import Template
@@ -26,14 +26,24 @@ _DIRECTION = (
 
 def manual(model: Model, part: Part, variables: Sequence[Variable]) -> str:
     """Return the page as HTML that needs neither network nor scripts."""
+    at_sample = {f"{d}_at_sample" for d in model.disturbances} | {f"{y}_residual" for y in model.outputs} | {"valid"}
     own = _template(part.lower()).substitute(
         equations=_equations(model),
-        variables=_tables(model, variables),
+        variables=_tables(variables, at_sample),
         **({"direction": _DIRECTION if model.channel_expressions else ""} if part == "Observer" else {}),
     )
+    return _page(f"{model.name}{part}", model.description, own)
+
+
+def component_manual(name: str, description: str, template: str, variables: Sequence[Variable]) -> str:
+    """Return the page of a component other than these; `template` is the name of its text."""
+    return _page(name, description, _template(template).substitute(variables=_tables(variables, set())))
+
+
+def _page(name: str, description: str, own: str) -> str:
     return _template("page").substitute(
-        name=f"{model.name}{part}",
-        description=escape(model.description),
+        name=name,
+        description=escape(description),
         part=own,
         dependencies=escape((TEXTS / "externalDependencies.txt").read_text("utf-8")),
     )
@@ -110,8 +120,7 @@ def _rate(state: str) -> str:
 # -- variables
 
 
-def _tables(model: Model, variables: Sequence[Variable]) -> str:
-    at_sample = {f"{d}_at_sample" for d in model.disturbances} | {f"{y}_residual" for y in model.outputs} | {"valid"}
+def _tables(variables: Sequence[Variable], at_sample: Set[str]) -> str:
     groups = {c: [v for v in variables if v.causality == c] for c in ("input", "output", "parameter")}
     tables = [
         ("Inputs", ["Unit", "Start", "Value at"], [[v.unit, _number(v.start), "t"] for v in groups["input"]], "input"),
@@ -156,11 +165,14 @@ def _range(variable: Variable) -> str:
     if variable.items is not None:
         return ", ".join(f"{value} {item}" for item, value in variable.items.items())
     bounds = [("≥", variable.minimum), ("≤", variable.maximum)]
-    return ", ".join(f"{sign} {_number(bound)}" for sign, bound in bounds if bound is not None) or "finite"
+    limits = ", ".join(f"{sign} {_number(bound)}" for sign, bound in bounds if bound is not None)
+    return limits or ("finite" if variable.type == "Real" else "")
 
 
-def _number(value: float | int | bool | None) -> str:
-    return "" if value is None else f"{value:g}"
+def _number(value: float | int | bool | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}"
 
 
 def _codes(names: Iterable[str]) -> str:

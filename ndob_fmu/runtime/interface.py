@@ -26,7 +26,7 @@ class Variable:
     causality: str
     description: str
     type: str = "Real"
-    start: float | int | bool | None = None
+    start: float | int | bool | str | None = None
     unit: str = ""
     minimum: float | None = None
     maximum: float | None = None
