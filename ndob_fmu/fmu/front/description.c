@@ -60,10 +60,11 @@ char *resources_folder(const char *location, char *reason, size_t size) {
     /* A host that does not encode a folder named "100%25" means it as it stands. */
     if (!folder) folder = folder_with_description(raw);
     if (!folder)
-        snprintf(reason, size,
-                 "fmuResourceLocation: expected the URI of the FMU's resources folder, received \"%s\", where front.txt "
-                 "cannot be read",
-                 location);
+        snprintf(
+            reason, size,
+            "fmuResourceLocation: expected the URI of the FMU's resources folder, received \"%s\", where front.txt "
+            "cannot be read",
+            location);
     free(decoded);
     return folder;
 }

@@ -94,10 +94,11 @@ void handle_free(Slot *slot);
 
 /* The functions of pythonfmu's binary that are called. */
 #define SLAVE_FUNCTIONS(F) \
-    F(Instantiate) F(FreeInstance) F(SetupExperiment) F(EnterInitializationMode) F(ExitInitializationMode) \
-    F(Terminate) F(Reset) F(GetReal) F(GetInteger) F(GetBoolean) F(GetString) F(SetReal) F(SetInteger) F(SetBoolean) \
-    F(SetString) F(GetFMUstate) F(SetFMUstate) F(FreeFMUstate) F(SerializedFMUstateSize) F(SerializeFMUstate) \
-    F(DeSerializeFMUstate) F(DoStep)
+    F(Instantiate) \
+    F(FreeInstance) F(SetupExperiment) F(EnterInitializationMode) F(ExitInitializationMode) F(Terminate) F(Reset) \
+        F(GetReal) F(GetInteger) F(GetBoolean) F(GetString) F(SetReal) F(SetInteger) F(SetBoolean) F(SetString) \
+            F(GetFMUstate) F(SetFMUstate) F(FreeFMUstate) F(SerializedFMUstateSize) F(SerializeFMUstate) \
+                F(DeSerializeFMUstate) F(DoStep)
 
 typedef struct {
 #define F(name) fmi2##name##TYPE *name;

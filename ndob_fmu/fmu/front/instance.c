@@ -21,7 +21,7 @@ static _Atomic int living;
 static pthread_mutex_t loading = PTHREAD_MUTEX_INITIALIZER;
 static char own_folder[PATH_MAX];
 
-/* Where this library lies, asked while it is being loaded: its name may be relative to a folder that the host leaves. */
+/* Where this library lies; asked while it is loaded, since its name may be relative to a folder that the host leaves. */
 __attribute__((constructor)) static void note_own_folder(void) {
     Dl_info self;
     char path[PATH_MAX];
@@ -64,11 +64,11 @@ static bool load_slave(char *reason, size_t size) {
 }
 
 const char *mode_name(Mode mode) {
-    return mode == INSTANTIATED ? "instantiated"
-        : mode == INITIALIZATION ? "in initialization mode"
-        : mode == STEPPING ? "in step mode"
-        : mode == TERMINATED ? "terminated"
-        : "lost after a fatal error";
+    return mode == INSTANTIATED     ? "instantiated"
+           : mode == INITIALIZATION ? "in initialization mode"
+           : mode == STEPPING       ? "in step mode"
+           : mode == TERMINATED     ? "terminated"
+                                    : "lost after a fatal error";
 }
 
 Instance *enter(fmi2Component component, const char *function, unsigned modes) {
@@ -85,8 +85,8 @@ Instance *enter(fmi2Component component, const char *function, unsigned modes) {
                 if (*allowed) strcat(allowed, " or ");
                 strcat(allowed, mode_name(mode));
             }
-        log_line(&self->log, fmi2Error, "%s: expected an instance that is %s, received one that is %s", function, allowed,
-                 mode_name(self->progress.mode));
+        log_line(&self->log, fmi2Error, "%s: expected an instance that is %s, received one that is %s", function,
+                 allowed, mode_name(self->progress.mode));
         return atomic_flag_clear(&slot->busy), NULL;
     }
     python_keep_thread();
@@ -143,16 +143,18 @@ static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char 
         return false;
     }
     if (!guid || strcmp(guid, self->description.guid) != 0) {
-        log_line(&self->log, fmi2Error,
-                 "fmi2Instantiate: fmuGUID: expected %s, received %s; likely cause: a modelDescription.xml of another build",
-                 self->description.guid, guid ? guid : "NULL");
+        log_line(
+            &self->log, fmi2Error,
+            "fmi2Instantiate: fmuGUID: expected %s, received %s; likely cause: a modelDescription.xml of another build",
+            self->description.guid, guid ? guid : "NULL");
         return false;
     }
     if (!python_start(&self->description, reason, sizeof reason, warning, sizeof warning)) {
-        log_line(&self->log, fmi2Error,
-                 "fmi2Instantiate: expected a Python of 3.10 or later with NumPy and a shared libpython, received none: %s; "
-                 "set NDOB_FMU_PYTHON to the path of such a Python",
-                 reason);
+        log_line(
+            &self->log, fmi2Error,
+            "fmi2Instantiate: expected a Python of 3.10 or later with NumPy and a shared libpython, received none: %s; "
+            "set NDOB_FMU_PYTHON to the path of such a Python",
+            reason);
         return false;
     }
     if (*warning) log_line(&self->log, fmi2Warning, "fmi2Instantiate: %s", warning);
@@ -170,9 +172,14 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (!self) return NULL;
     bool named = name && *name && is_utf8(name);
     self->folder = -1;
-    self->log = (Log){functions->logger, functions->componentEnvironment, strdup(named ? name : "unnamed"),
-                      logging != fmi2False, ALL_CATEGORIES, fmi2OK};
-    self->callbacks = (fmi2CallbackFunctions){log_from_slave, functions->allocateMemory, functions->freeMemory, NULL, &self->log};
+    self->log = (Log){functions->logger,
+                      functions->componentEnvironment,
+                      strdup(named ? name : "unnamed"),
+                      logging != fmi2False,
+                      ALL_CATEGORIES,
+                      fmi2OK};
+    self->callbacks =
+        (fmi2CallbackFunctions){log_from_slave, functions->allocateMemory, functions->freeMemory, NULL, &self->log};
     self->progress = (Progress){.mode = INSTANTIATED};
     char *folder = NULL, *slave_folder = NULL;
     void *handle = NULL;
@@ -221,22 +228,24 @@ fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t c
     self->log.on = on != fmi2False;
     self->log.categories = categories;
     if (!unknown) return leave(self, fmi2OK);
-    log_line(&self->log, fmi2Warning, "%s: expected log categories of the model description, received %s", __func__, unknown);
+    log_line(&self->log, fmi2Warning, "%s: expected log categories of the model description, received %s", __func__,
+             unknown);
     return leave(self, fmi2Warning);
 }
 
-fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
-                               fmi2Boolean stop_defined, fmi2Real stop) {
+fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean tolerance_defined, fmi2Real tolerance,
+                               fmi2Real start, fmi2Boolean stop_defined, fmi2Real stop) {
     Instance *self = enter(component, __func__, INSTANTIATED);
     if (!self) return fmi2Error;
     if (!stop_defined) stop = HUGE_VAL;
     if (!isfinite(start) || !(stop >= start)) {
-        log_line(&self->log, fmi2Error, "%s: expected a finite start time and a later stop time, received %g and %g", __func__,
-                 start, stop);
+        log_line(&self->log, fmi2Error, "%s: expected a finite start time and a later stop time, received %g and %g",
+                 __func__, start, stop);
         return leave(self, fmi2Error);
     }
     stop_defined = isfinite(stop); /* there are hosts that say "infinite" for "not defined" */
-    fmi2Status status = judged(self, slave.SetupExperiment(self->slave, tolerance_defined, tolerance, start, stop_defined, stop_defined ? stop : 0.0));
+    fmi2Status status = judged(self, slave.SetupExperiment(self->slave, tolerance_defined, tolerance, start,
+                                                           stop_defined, stop_defined ? stop : 0.0));
     if (status < fmi2Discard) self->progress = (Progress){INSTANTIATED, true, start};
     return leave(self, status);
 }

@@ -4,29 +4,17 @@
  * opened here with RTLD_GLOBAL (as a library that this one needs they would be hidden from NumPy). Python is never
  * ended: its threads and NumPy's cannot be stopped safely in somebody else's process. */
 #define _GNU_SOURCE
-#include "front.h"
+#include "interpreters.h"
 
 #include <dlfcn.h>
-#include <errno.h>
-#include <fcntl.h>
 #include <limits.h>
 #include <link.h>
-#include <poll.h>
 #include <pthread.h>
-#include <signal.h>
-#include <spawn.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/wait.h>
-#include <time.h>
-#include <unistd.h>
 #include <wchar.h>
-
-#define VARIABLE "NDOB_FMU_PYTHON"
-#define OLDEST_MINOR 10
-#define PROBE_SECONDS 30
 
 /* One lock for all the fronts of the process, each of which may be the one to start Python: the loader binds a unique
  * symbol to the same memory in every library that defines it. */
@@ -77,174 +65,6 @@ static struct {
 static _Atomic bool ready;
 static pthread_key_t kept_state;
 
-typedef struct {
-    char executable[PATH_MAX], library[PATH_MAX], packages[PATH_MAX];
-    int minor; /* of 3.minor; 0 if not known */
-} Candidate;
-
-typedef struct {
-    char *text;
-    size_t size, used;
-} Reasons;
-
-__attribute__((format(printf, 2, 3))) static void add_reason(Reasons *reasons, const char *format, ...) {
-    va_list arguments;
-    va_start(arguments, format);
-    if (reasons->used) reasons->used += (size_t)snprintf(reasons->text + reasons->used, reasons->size - reasons->used, "; ");
-    if (reasons->used < reasons->size)
-        reasons->used += (size_t)vsnprintf(reasons->text + reasons->used, reasons->size - reasons->used, format, arguments);
-    va_end(arguments);
-    if (reasons->used >= reasons->size) reasons->used = reasons->size - 1;
-}
-
-static void set(char *to, const char *from) { snprintf(to, PATH_MAX, "%s", from); }
-
-/* -- asking an interpreter */
-
-/* Prints version, the places of libpython, NumPy's parent folder and the executable, one each line. */
-static const char QUESTION[] =
-    "import sys\n"
-    "sys.path[:] = filter(None, sys.path)\n"
-    "import os, sysconfig\n"
-    "from importlib.util import find_spec\n"
-    "value = sysconfig.get_config_var\n"
-    "folders = [value('LIBDIR'), os.path.join(sys.base_prefix, 'lib'), value('LIBPL')]\n"
-    "names = [n for n in (value('INSTSONAME'), value('LDLIBRARY')) if n and '.so' in n]\n"
-    "places = [os.path.join(f, n) for n in names for f in folders if f]\n"
-    "numpy = find_spec('numpy')\n"
-    "print(sys.version_info[0], sys.version_info[1], int(bool(value('Py_GIL_DISABLED'))))\n"
-    "print(next(filter(os.path.exists, places), ''))\n"
-    "print(os.path.dirname(os.path.dirname(numpy.origin)) if numpy and numpy.origin else '')\n"
-    "print(sys.executable)\n";
-
-static long milliseconds(void) {
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec * 1000L + now.tv_nsec / 1000000L;
-}
-
-/* Run the interpreter and return how many bytes it printed, or -1. The host's stdin, signals and streams stay its own. */
-static ssize_t ask(const char *executable, char *answer, size_t size) {
-    int ends[2];
-    if (pipe2(ends, O_CLOEXEC) != 0) return -1;
-    posix_spawn_file_actions_t actions;
-    posix_spawnattr_t attributes;
-    posix_spawn_file_actions_init(&actions);
-    posix_spawnattr_init(&attributes);
-    posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
-    posix_spawn_file_actions_adddup2(&actions, ends[1], STDOUT_FILENO);
-    posix_spawn_file_actions_addopen(&actions, STDERR_FILENO, "/dev/null", O_WRONLY, 0);
-    sigset_t none, all;
-    sigemptyset(&none);
-    sigfillset(&all);
-    posix_spawnattr_setsigmask(&attributes, &none);
-    posix_spawnattr_setsigdefault(&attributes, &all);
-    posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
-    /* -E: what the host sets for another Python is not for this one. */
-    char *arguments[] = {(char *)executable, "-E", "-X", "utf8", "-c", (char *)QUESTION, NULL};
-    pid_t child = 0;
-    bool running = posix_spawn(&child, executable, &actions, &attributes, arguments, environ) == 0;
-    posix_spawn_file_actions_destroy(&actions);
-    posix_spawnattr_destroy(&attributes);
-    close(ends[1]);
-    ssize_t got = running ? 0 : -1;
-    long deadline = milliseconds() + PROBE_SECONDS * 1000L;
-    while (running && (size_t)got < size - 1) {
-        struct pollfd waiting = {ends[0], POLLIN, 0};
-        long left = deadline - milliseconds();
-        int events = left > 0 ? poll(&waiting, 1, (int)left) : 0;
-        if (events < 0 && errno == EINTR) continue;
-        ssize_t more = events > 0 ? read(ends[0], answer + got, size - 1 - (size_t)got) : -1;
-        if (more < 0 && events > 0 && errno == EINTR) continue;
-        if (more < 0) got = -1;
-        if (more <= 0) break;
-        got += more;
-    }
-    close(ends[0]);
-    if (running) {
-        if (got < 0) kill(child, SIGKILL);
-        while (waitpid(child, NULL, 0) < 0 && errno == EINTR) continue;
-    }
-    answer[got < 0 ? 0 : got] = '\0';
-    return got;
-}
-
-/* Fill in the candidate from what its executable answers; else give the reason. */
-static bool probe(Candidate *candidate, const char *executable, Reasons *reasons) {
-    char answer[4 * PATH_MAX];
-    if (access(executable, X_OK) != 0) return add_reason(reasons, "%s cannot be run", executable), false;
-    if (ask(executable, answer, sizeof answer) <= 0) return add_reason(reasons, "%s is no Python that runs", executable), false;
-    char *rest = answer, *line[4];
-    for (int i = 0; i < 4; i++)
-        if (!(line[i] = strsep(&rest, "\n"))) line[i] = "";
-    int major = 0, minor = 0, without_gil = 0;
-    if (sscanf(line[0], "%d %d %d", &major, &minor, &without_gil) != 3)
-        return add_reason(reasons, "%s is no Python that runs", executable), false;
-    if (major != 3 || minor < OLDEST_MINOR || without_gil)
-        return add_reason(reasons, "%s is Python %d.%d%s", executable, major, minor, without_gil ? " without GIL" : ""), false;
-    if (!*line[2]) return add_reason(reasons, "%s has no NumPy", executable), false;
-    candidate->minor = minor;
-    if (*line[1]) set(candidate->library, line[1]);
-    /* Built without a shared library: one of the same version that the loader knows serves as well. */
-    else snprintf(candidate->library, PATH_MAX, "libpython3.%d.so.1.0", minor);
-    set(candidate->packages, line[2]);
-    set(candidate->executable, *line[3] ? line[3] : executable);
-    return true;
-}
-
-/* -- the candidates, in their order */
-
-static bool from_variable(Candidate *candidate, Reasons *reasons) {
-    const char *named = getenv(VARIABLE);
-    const char *file = strrchr(named, '/') ? strrchr(named, '/') + 1 : named;
-    if (access(named, R_OK) != 0) return add_reason(reasons, VARIABLE " names %s, which cannot be read", named), false;
-    int minor = 0;
-    if (strstr(file, ".so") == NULL) return probe(candidate, named, reasons);
-    if (sscanf(file, "libpython3.%d", &minor) != 1)
-        return add_reason(reasons, VARIABLE " names %s, neither a Python executable nor a libpython3.x.so", named), false;
-    char executable[PATH_MAX];
-    snprintf(executable, sizeof executable, "%.*s/../bin/python3.%d", (int)(file - named), named, minor);
-    if (access(executable, X_OK) != 0) snprintf(executable, sizeof executable, "/usr/bin/python3.%d", minor);
-    if (!probe(candidate, executable, reasons)) return false;
-    set(candidate->library, named);
-    return true;
-}
-
-static bool from_build(Candidate *candidate, const Description *description, Reasons *reasons) {
-    const char *parts[] = {description->executable, description->library, description->packages};
-    for (size_t i = 0; i < 3; i++) {
-        char path[PATH_MAX];
-        snprintf(path, sizeof path, i == 2 ? "%s/numpy/__init__.py" : "%s", parts[i]);
-        if (access(path, R_OK) != 0) {
-            add_reason(reasons, "the Python that built the FMU is not here (%s)", *parts[i] ? path : "not recorded");
-            return false;
-        }
-    }
-    set(candidate->executable, description->executable);
-    set(candidate->library, description->library);
-    set(candidate->packages, description->packages);
-    return true;
-}
-
-static bool from_system(Candidate *candidate, Reasons *reasons) {
-    const char *path = getenv("PATH");
-    char folders[PATH_MAX], *rest = folders;
-    char tried[PATH_MAX] = "";
-    snprintf(folders, sizeof folders, "%s", path ? path : "/usr/local/bin:/usr/bin");
-    for (const char *folder; (folder = strsep(&rest, ":"));) {
-        char executable[PATH_MAX + 16];
-        if (*folder != '/') continue;
-        snprintf(executable, sizeof executable, "%s/python3", folder);
-        if (access(executable, X_OK) != 0 || strstr(tried, executable)) continue;
-        if (probe(candidate, executable, reasons)) return true;
-        strncat(tried, executable, sizeof tried - strlen(tried) - 1);
-    }
-    if (!*tried) add_reason(reasons, "the system has no python3");
-    return false;
-}
-
-/* -- starting it */
-
 static bool symbols(void *library, Reasons *reasons) {
 #define F(result, name, arguments) \
     if (!(py.name = (result(*) arguments)dlsym(library, #name))) \
@@ -279,15 +99,18 @@ static bool failed(void *library, PyStatus status, const char *what, Reasons *re
 /* Python 3.14 and later, PEP 741. */
 static bool initialize_by_name(void *library, const Candidate *candidate, Reasons *reasons) {
     void *(*create)(void) = (void *(*)(void))dlsym(library, "PyInitConfig_Create");
-    int (*set_integer)(void *, const char *, int64_t) = (int (*)(void *, const char *, int64_t))dlsym(library, "PyInitConfig_SetInt");
-    int (*set_text)(void *, const char *, const char *) = (int (*)(void *, const char *, const char *))dlsym(library, "PyInitConfig_SetStr");
+    int (*set_integer)(void *, const char *, int64_t) =
+        (int (*)(void *, const char *, int64_t))dlsym(library, "PyInitConfig_SetInt");
+    int (*set_text)(void *, const char *, const char *) =
+        (int (*)(void *, const char *, const char *))dlsym(library, "PyInitConfig_SetStr");
     int (*start)(void *) = (int (*)(void *))dlsym(library, "Py_InitializeFromInitConfig");
     int (*get_error)(void *, const char **) = (int (*)(void *, const char **))dlsym(library, "PyInitConfig_GetError");
     void (*release)(void *) = (void (*)(void *))dlsym(library, "PyInitConfig_Free");
     void *config = create && set_integer && set_text && start && get_error && release ? create() : NULL;
     if (!config) return add_reason(reasons, "%s cannot be configured", candidate->library), false;
     bool good = set_integer(config, "utf8_mode", 1) == 0
-        && (!*candidate->executable || set_text(config, "program_name", candidate->executable) == 0) && start(config) == 0;
+                && (!*candidate->executable || set_text(config, "program_name", candidate->executable) == 0)
+                && start(config) == 0;
     const char *message = NULL;
     if (!good) {
         get_error(config, &message);
@@ -299,11 +122,13 @@ static bool initialize_by_name(void *library, const Candidate *candidate, Reason
 
 static bool initialize_by_structure(void *library, const Candidate *candidate, Reasons *reasons) {
     void (*default_pre)(PyPreConfig *) = (void (*)(PyPreConfig *))dlsym(library, "PyPreConfig_InitIsolatedConfig");
-    PyStatus (*pre_initialize)(const PyPreConfig *) = (PyStatus(*)(const PyPreConfig *))dlsym(library, "Py_PreInitialize");
+    PyStatus (*pre_initialize)(const PyPreConfig *) =
+        (PyStatus (*)(const PyPreConfig *))dlsym(library, "Py_PreInitialize");
     void (*default_config)(void *) = (void (*)(void *))dlsym(library, "PyConfig_InitIsolatedConfig");
-    PyStatus (*start)(void *) = (PyStatus(*)(void *))dlsym(library, "Py_InitializeFromConfig");
+    PyStatus (*start)(void *) = (PyStatus (*)(void *))dlsym(library, "Py_InitializeFromConfig");
     void (*clear)(void *) = (void (*)(void *))dlsym(library, "PyConfig_Clear");
-    wchar_t *(*decode)(const char *, size_t *) = (wchar_t * (*)(const char *, size_t *)) dlsym(library, "Py_DecodeLocale");
+    wchar_t *(*decode)(const char *, size_t *) =
+        (wchar_t * (*)(const char *, size_t *)) dlsym(library, "Py_DecodeLocale");
     void (*set_program)(const wchar_t *) = (void (*)(const wchar_t *))dlsym(library, "Py_SetProgramName");
     if (!default_pre || !pre_initialize || !default_config || !start || !clear || !decode || !set_program)
         return add_reason(reasons, "%s cannot be configured", candidate->library), false;
@@ -342,7 +167,8 @@ static bool import_numpy(const char *packages, Reasons *reasons) {
     py.PyErr_Fetch(&type, &value, &trace);
     PyObject *text = value ? py.PyObject_Str(value) : NULL;
     const char *message = text ? py.PyUnicode_AsUTF8AndSize(text, NULL) : NULL;
-    add_reason(reasons, "the process's Python %.8s cannot import NumPy (%.200s)", py.Py_GetVersion(), message ? message : "no reason given");
+    add_reason(reasons, "the process's Python %.8s cannot import NumPy (%.200s)", py.Py_GetVersion(),
+               message ? message : "no reason given");
     if (text) py.Py_DecRef(text);
     if (type) py.Py_DecRef(type);
     if (value) py.Py_DecRef(value);
@@ -409,13 +235,14 @@ static bool find(const Description *description, Reasons *reasons, char *warning
     bool settled = false, good = false;
     const char *named = getenv(VARIABLE);
     if (named && *named) {
-        if (from_variable(&candidate, reasons)) good = take(&candidate, library, reasons, &settled);
+        if (candidate_from_variable(&candidate, reasons)) good = take(&candidate, library, reasons, &settled);
         if (!good) snprintf(warning, warning_size, VARIABLE " is passed over: %s", reasons->text);
     }
     candidate = good || settled ? candidate : (Candidate){0};
-    if (!good && !settled && from_build(&candidate, description, reasons))
+    if (!good && !settled && candidate_from_build(&candidate, description, reasons))
         good = take(&candidate, library, reasons, &settled);
-    if (!good && !settled && from_system(&candidate, reasons)) good = take(&candidate, library, reasons, &settled);
+    if (!good && !settled && candidate_from_system(&candidate, reasons))
+        good = take(&candidate, library, reasons, &settled);
     return good;
 }
 
@@ -441,9 +268,7 @@ bool python_start(const Description *description, char *reason, size_t size, cha
     return true;
 }
 
-bool python_alive(void) {
-    return ready && py.Py_IsInitialized() && !(py.is_finalizing && py.is_finalizing());
-}
+bool python_alive(void) { return ready && py.Py_IsInitialized() && !(py.is_finalizing && py.is_finalizing()); }
 
 void python_keep_thread(void) {
     if (py.PyGILState_GetThisThreadState()) return; /* the host's, or one that is kept already */

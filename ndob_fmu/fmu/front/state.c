@@ -41,8 +41,8 @@ static uint64_t content_hash(const Progress *progress, const void *bytes, size_t
 static State *state_of(Instance *self, const char *function, fmi2FMUstate handle) {
     Slot *slot = handle_slot(&states, handle);
     if (slot) return slot->object;
-    log_line(&self->log, fmi2Error, "%s: expected an FMU state that was got from this FMU and not freed, received %s", function,
-             handle ? "something else" : "NULL");
+    log_line(&self->log, fmi2Error, "%s: expected an FMU state that was got from this FMU and not freed, received %s",
+             function, handle ? "something else" : "NULL");
     return NULL;
 }
 
@@ -147,7 +147,8 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate handle, f
     fmi2Status status = sizes(self, state, &inner);
     if (status >= fmi2Discard) return leave(self, status);
     if (size < sizeof(Head) + inner) {
-        log_line(&self->log, fmi2Error, "%s: expected room for %zu bytes, received %zu", __func__, sizeof(Head) + inner, size);
+        log_line(&self->log, fmi2Error, "%s: expected room for %zu bytes, received %zu", __func__, sizeof(Head) + inner,
+                 size);
         return leave(self, fmi2Error);
     }
     char *content = bytes + sizeof(Head);
@@ -164,7 +165,8 @@ static const char *fault(const Instance *self, const Head *head, const fmi2Byte 
     if (size < sizeof *head || memcmp(head->magic, MAGIC, sizeof MAGIC) != 0) return "bytes that are no FMU state";
     if (head->fmu != fmu_hash(self)) return "the state of another FMU, or of another build of this one";
     if (head->size > size - sizeof *head) return "a state that was cut off";
-    if (head->hash != content_hash(&head->progress, bytes + sizeof *head, head->size)) return "a state that was damaged";
+    if (head->hash != content_hash(&head->progress, bytes + sizeof *head, head->size))
+        return "a state that was damaged";
     return NULL;
 }
 

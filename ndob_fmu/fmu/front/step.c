@@ -12,7 +12,8 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi
 static fmi2Status unsupported(fmi2Component component, const char *function) {
     Instance *self = enter(component, function, ANY_MODE);
     if (!self) return fmi2Error;
-    log_line(&self->log, fmi2Error, "%s: expected none but the functions that the model description declares; this FMU has not this one",
+    log_line(&self->log, fmi2Error,
+             "%s: expected none but the functions that the model description declares; this FMU has not this one",
              function);
     return leave(self, fmi2Error);
 }

@@ -22,8 +22,9 @@ static bool present(Instance *self, const char *function, const fmi2ValueReferen
         }
         const Variable *variable = &description->variables[reference];
         if (variable->type != type) {
-            log_line(&self->log, fmi2Error, "%s: expected value references of %s variables, received %u, which is %s, %s",
-                     function, type_name(type), reference, variable->name, type_name(variable->type));
+            log_line(&self->log, fmi2Error,
+                     "%s: expected value references of %s variables, received %u, which is %s, %s", function,
+                     type_name(type), reference, variable->name, type_name(variable->type));
             return false;
         }
     }
@@ -35,13 +36,15 @@ static bool settable(Instance *self, const char *function, const fmi2ValueRefere
     for (size_t i = 0; i < count; i++) {
         const Variable *variable = &self->description.variables[references[i]];
         if (variable->role == 'o') {
-            log_line(&self->log, fmi2Error, "%s: %s: expected an input or a parameter, received what the FMU calculates",
-                     function, variable->name);
+            log_line(&self->log, fmi2Error,
+                     "%s: %s: expected an input or a parameter, received what the FMU calculates", function,
+                     variable->name);
             return false;
         }
         if (stepping && variable->role == 'f') {
             log_line(&self->log, fmi2Error,
-                     "%s: %s: expected a fixed parameter's value before the end of initialization, received one in step mode",
+                     "%s: %s: expected a fixed parameter's value before the end of initialization, received one in "
+                     "step mode",
                      function, variable->name);
             return false;
         }
