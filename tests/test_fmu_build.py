@@ -84,7 +84,7 @@ build(load_model("flexible_joint"), sys.argv[1])
 def build_elsewhere(folder, **environment):
     """Build the example in a process of its own, from another folder, and return the two FMUs."""
     command = [sys.executable, "-c", BUILD, "some where else"]
-    own = ENVIRONMENT | {"PYTHONPATH": str(ROOT), "MPLCONFIGDIR": str(folder)} | environment
+    own = ENVIRONMENT | {"PYTHONPATH": str(ROOT)} | environment
     subprocess.run(command, cwd=folder, check=True, env=own, capture_output=True)
     return sorted((folder / "some where else").iterdir(), reverse=True)
 
