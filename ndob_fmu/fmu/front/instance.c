@@ -21,7 +21,7 @@ static _Atomic int living;
 static pthread_mutex_t loading = PTHREAD_MUTEX_INITIALIZER;
 static char own_folder[PATH_MAX];
 
-/* Where this library lies; asked while it is loaded, since its name may be relative to a folder that the host leaves. */
+/* Where this library lies; asked while it is loaded: its name may be relative to a folder that the host leaves. */
 __attribute__((constructor)) static void note_own_folder(void) {
     Dl_info self;
     char path[PATH_MAX];
