@@ -21,7 +21,7 @@ from problems import MODELS
 
 from ndob_fmu import Model
 from ndob_fmu.fmu.icon import draw_icon
-from ndob_fmu.fmu.manual import manual
+from ndob_fmu.fmu.manual import _Printer, manual
 from ndob_fmu.runtime.interface import observer_variables, plant_variables
 
 ROOT = Path(__file__).parents[1]
@@ -153,7 +153,8 @@ def test_the_page_is_whole_and_needs_no_network(name, part):
 def test_the_equations_on_the_page_are_those_that_run(name):
     model = MODELS[name]
     random = np.random.default_rng(7)
-    x, u, d = (random.uniform(0.5, 1.5, len(names)) for names in (model.states, model.inputs, model.disturbances))
+    named = (model.states, model.inputs, model.disturbances)
+    x, u, d = (random.uniform(0.5, 1.5, len(names)).tolist() for names in named)
     values = dict(zip(model.states, x, strict=True)) | dict(zip(model.inputs, u, strict=True)) | dict(model.parameters)
     values |= {f"{name}_total": value for name, value in zip(model.disturbances, d, strict=True)}
     (text,) = re.findall("<pre>(der.*?)</pre>", page(model, "Observer"), flags=re.DOTALL)
@@ -170,6 +171,32 @@ def test_names_with_underscores_stay_whole_in_the_formulas():
     text = page(MODELS["flexible_joint"], "Plant")
     assert "<mi>gravity_torque</mi>" in text
     assert "<msub>" not in text
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_formulas_have_their_brackets_where_browsers_show_them(name):
+    """SymPy before 1.13 puts <mfenced> in their place, of which browsers show the contents only."""
+    text = page(MODELS[name], "Plant")
+    assert "mfenced" not in text
+    formulas = "".join(re.findall("<math.*?</math>", text))
+    assert formulas.count("<mo>(</mo>") == formulas.count("<mo>)</mo>")
+    if any(e.has(sympy.Function) for e in MODELS[name].f_expressions):
+        assert "<mo>(</mo>" in formulas
+
+
+def test_fences_of_an_older_sympy_are_written_out_with_what_is_inside():
+    class Old(_Printer):
+        def _print_Function(self, function):
+            fenced = self.dom.createElement("mfenced")
+            for argument in function.args:
+                fenced.appendChild(self._print(argument))
+            return fenced
+
+    a, b = sympy.symbols("a b")
+    g = sympy.Function("g")
+    written = Old().doprint(g(g(a), b))
+    inner = "<mrow><mo>(</mo><mi>a</mi><mo>)</mo></mrow>"
+    assert written == f"<mrow><mrow><mo>(</mo>{inner}<mo>,</mo><mi>b</mi><mo>)</mo></mrow></mrow>"
 
 
 def test_a_case_distinction_is_shown_as_one():
