@@ -16,6 +16,8 @@ import pint
 import ndob_fmu
 from ndob_fmu.errors import ModelError
 from ndob_fmu.runtime.disturbance import KINDS
+from ndob_fmu.runtime.disturbance_source import INTERPOLATIONS, SOURCE_KINDS
+from ndob_fmu.runtime.encoder import MISSING
 from ndob_fmu.runtime.interface import METHODS, Variable
 
 _BASE_UNITS = {
@@ -72,7 +74,13 @@ _QUANTITIES = {
     "s": "Time",
 }
 
-_ENUMERATIONS: Mapping[str, Mapping[str, int]] = {"DisturbanceKind": KINDS, "Method": METHODS}
+_ENUMERATIONS: Mapping[str, Mapping[str, int]] = {
+    "DisturbanceKind": KINDS,
+    "SourceKind": SOURCE_KINDS,
+    "Interpolation": INTERPOLATIONS,
+    "MissingSample": MISSING,
+    "Method": METHODS,
+}
 _ITEM_DESCRIPTIONS = {
     "none": "d = 0",
     "constant": "amplitude at all times",
@@ -80,6 +88,11 @@ _ITEM_DESCRIPTIONS = {
     "sine": "amplitude sin(2 pi frequency (t - start_time)) from start_time on",
     "step": "amplitude from start_time on",
     "chirp": "a sine whose frequency rises from 0 to frequency in 10 s and stays there",
+    "noise": "Gaussian noise of standard deviation amplitude, flat up to frequency and none above",
+    "profile": "the rows of a file",
+    "linear": "on the line through the rows",
+    "held": "the value before",
+    "not_a_number": "NaN, which the observer skips",
     "paper": "the paper's observer, eqs. (22) to (24), integrated inside the step",
     "sampled_data": "the sampled-data design, exact at the communication points",
 }

@@ -18,8 +18,8 @@ class Variable:
     """One FMI variable.
 
     `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
-    those of the end of the last step, whatever the inputs become afterwards. `sampled`: an input that is read as of the
-    start of a step; a value extrapolated into the step would be wrong.
+    those of the end of the last step, whatever the inputs become afterwards. `sampled`: a signal that is read as of the
+    start of a step, or made once for each; a value extrapolated into the step would be wrong.
     """
 
     name: str
