@@ -6,20 +6,24 @@ from collections.abc import Iterable
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.channel import lumped, lumped_bound, lumped_rate, read_out
-from ndob_fmu.runtime.interface import METHODS, Variable, for_each_disturbance, observer_variables
+from ndob_fmu.runtime.channel import ChannelState, lumped, lumped_bound, lumped_rate, read_out
+from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.hold import History
+from ndob_fmu.runtime.interface import METHODS, for_each_disturbance, observer_variables
 from ndob_fmu.runtime.observer import Estimate
-from ndob_fmu.runtime.paper_observer import PaperObserver, paper_observer
-from ndob_fmu.runtime.sampled_observer import SampledObserver, sampled_observer
+from ndob_fmu.runtime.paper_observer import ObserverState, PaperObserver, paper_observer
+from ndob_fmu.runtime.sampled_observer import SampledObserver, SampledState, sampled_observer
 from ndob_fmu.runtime.schedule import PiSchedule
 
 
 class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
-    def declare(self) -> tuple[Variable, ...]:
-        """Return the observer's variables."""
-        return observer_variables(self.equations)
+    state_types = (SampledState, ObserverState, History, ChannelState)
+
+    def __init__(self, equations: Equations, **kwargs: Any) -> None:
+        self.equations = equations
+        super().__init__(observer_variables(equations), equations.experiment, equations.description, **kwargs)
 
     def start(self, start_time: float) -> None:
         """Make the observer and start it from the given estimate of the state."""
@@ -30,7 +34,7 @@ class ObserverSlave(Slave):
             make(),
             disturbance_bound=self._for_disturbances("disturbance_bound"),
         )
-        self.state: Any = self.observer.init(self._for_states("hat_start"))
+        self.state = self.observer.init(self._for_states("hat_start"))
 
     def show(self) -> Iterable[Any]:
         """Return the estimate that the first sample alone gives."""

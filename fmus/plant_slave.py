@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -10,16 +11,28 @@ from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
 from ndob_fmu.runtime.disturbance import Generator
-from ndob_fmu.runtime.interface import Variable, for_each_disturbance, plant_variables
+from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.interface import for_each_disturbance, plant_variables
 from ndob_fmu.runtime.plant import Plant, PlantState
+
+
+@dataclass(frozen=True)
+class PlantMemory:
+    """The plant's state, and the last finite inputs and disturbances (m + q2,)."""
+
+    plant: PlantState
+    held: tuple[float, ...]
 
 
 class PlantSlave(Slave):
     """Integrates the plant; inputs are held over the step, the generators run on inside it."""
 
-    def declare(self) -> tuple[Variable, ...]:
-        """Return the plant's variables."""
-        return plant_variables(self.equations)
+    state_types = (PlantMemory, PlantState)
+    state: PlantMemory
+
+    def __init__(self, equations: Equations, **kwargs: Any) -> None:
+        self.equations = equations
+        super().__init__(plant_variables(equations), equations.experiment, equations.description, **kwargs)
 
     def start(self, start_time: float) -> None:
         """Make the plant and its start state from the parameters."""
@@ -30,31 +43,35 @@ class PlantSlave(Slave):
             for prefix in for_each_disturbance("disturbance", eq.disturbances).values()
         ]
         self.plant = Plant(equations=eq, parameters=parameters, generators=generators)
-        self.state: PlantState = self.plant.init(self.values(f"{name}_start" for name in eq.states), start_time)
         self.C = eq.linear_part(parameters).C
         self.hidden_states = [i for i, name in enumerate(eq.states) if name not in eq.outputs]
-        self.held = [0.0] * (len(eq.inputs) + len(eq.disturbances))
+        self.state = PlantMemory(
+            plant=self.plant.init(self.values(f"{name}_start" for name in eq.states), start_time),
+            held=(0.0,) * (len(eq.inputs) + len(eq.disturbances)),
+        )
 
     def show(self) -> Iterable[Any]:
         """Return outputs, the other states and total disturbances at the present time."""
-        return self._outputs(self._inputs()[1])
+        held = self._inputs()
+        return self._outputs(self.state.plant, held[len(self.equations.inputs) :])
 
     def advance(self, t: float, step_size: float) -> Iterable[Any]:
         """Integrate to the end of the step."""
-        u, d = self._inputs()
-        self.state = self.plant.step(self.state, u, d, t + step_size)
-        return self._outputs(d)
+        m = len(self.equations.inputs)
+        held = self._inputs()
+        after = self.plant.step(self.state.plant, held[:m], held[m:], t + step_size)
+        self.state = PlantMemory(plant=after, held=held)
+        return self._outputs(after, held[m:])
 
-    def _inputs(self) -> tuple[list[float], list[float]]:
+    def _inputs(self) -> tuple[float, ...]:
         """Return u and d as set; a value that is not finite is replaced by the last finite one, so that x survives."""
         eq = self.equations
-        given = self.values([*eq.inputs, *eq.disturbances])
-        if not all(map(isfinite, given)):
-            self.log(f"inputs that are not finite are held at t = {self.state.t:g} s", Fmi2Status.warning)
-            given = [new if isfinite(new) else old for new, old in zip(given, self.held, strict=True)]
-        self.held = given
-        return given[: len(eq.inputs)], given[len(eq.inputs) :]
+        given = tuple(self.values([*eq.inputs, *eq.disturbances]))
+        if all(map(isfinite, given)):
+            return given
+        self.log(f"inputs that are not finite are held at t = {self.state.plant.t:g} s", Fmi2Status.warning)
+        return tuple(new if isfinite(new) else old for new, old in zip(given, self.state.held, strict=True))
 
-    def _outputs(self, d: list[float]) -> list[float]:
-        x = self.state.x
-        return [*(self.C @ x), *(x[i] for i in self.hidden_states), *self.plant.disturbance(self.state.t, d)]
+    def _outputs(self, state: PlantState, d: Sequence[float]) -> list[float]:
+        x = state.x
+        return [*(self.C @ x), *(x[i] for i in self.hidden_states), *self.plant.disturbance(state.t, d)]

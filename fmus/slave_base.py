@@ -1,14 +1,15 @@
-"""What the plant's and the observer's slave share: variables registered as declared, and when their values are right.
+"""What all slaves share: variables as declared, when their values are right, what is refused, and their memory.
 
-Outputs are computed in initialization mode as soon as they are asked for, and afterwards once per step.
+pythonfmu answers an exception by destroying the instance. So nothing that a host or a user can do by mistake raises
+here: it is logged with a status, which the FMU's front (`ndob_fmu/fmu/front/`) makes the status of the call.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable
-from math import isfinite
-from typing import Any
+from collections.abc import Iterable, Sequence
+from math import isfinite, nan
+from typing import Any, ClassVar
 
 import numpy as np
 from pythonfmu import (
@@ -20,48 +21,63 @@ from pythonfmu import (
     Fmi2Variability,
     Integer,
     Real,
+    String,
 )
 from pythonfmu.enums import Fmi2Status
 
-from ndob_fmu.runtime.equations import Equations
+from fmus.slave_state import Snapshot, from_bytes, to_bytes
+from ndob_fmu.runtime.equations import Experiment
 from ndob_fmu.runtime.errors import NdobError
 from ndob_fmu.runtime.interface import Variable
 
-_TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer}
+_TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer, "String": String}
+_NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
+# A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
+_TIME_TOLERANCE = 1e-3
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type information
-    """Base of the slaves; a subclass declares its variables, starts its core and advances it."""
+    """Base of the slaves; a subclass makes its core from the parameters and advances it.
 
-    def __init__(self, equations: Equations, **kwargs: Any) -> None:
+    Outputs are computed in initialization mode as soon as they are asked for, and afterwards once per step. A subclass
+    keeps all that its core remembers in `state`, an immutable value made of numbers, arrays, tuples and `state_types`;
+    the rest it makes anew from the parameters.
+    """
+
+    state_types: ClassVar[tuple[type, ...]] = ()
+    state: Any = None
+
+    def __init__(self, variables: Sequence[Variable], experiment: Experiment, description: str, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self.equations = equations
-        self._variables = variables = self.declare()
-        experiment = self.equations.experiment
         self.default_experiment = DefaultExperiment(
             start_time=0.0, stop_time=experiment.stop_time, step_size=experiment.step_size
         )
-        self.description = self.equations.description
+        self.description = description
+        self._variables = variables
         self._value_reference = {variable.name: index for index, variable in enumerate(variables)}
         self._values: list[Any] = [0.0 if v.start is None else v.start for v in variables]
-        self._output_references = [i for i, v in enumerate(variables) if v.causality == "output"]
-        self._parameter_references = [i for i, v in enumerate(variables) if v.causality == "parameter"]
-        self._started_with: list[Any] | None = None
+        self._of_type = {
+            kind.__name__: frozenset(i for i, v in enumerate(variables) if _TYPES[v.type] is kind)
+            for kind in _TYPES.values()
+        }
+        self._input_references = frozenset(self._references("input"))
+        self._output_references = self._references("output")
+        self._parameter_references = self._references("parameter")
+        self._read: dict[str, list[int]] = {}
+        self._refused: dict[int, str] = {}
+        self._started_with: tuple[Any, ...] | None = None
         self._initializing = False
         self._stale = False
-        self._start_time = 0.0
+        self._start_time = self._time = 0.0
+        self._stop_time: float | None = None
         for index, variable in enumerate(variables):
             self._register(index, variable)
 
     # -- for the subclass
 
     @abstractmethod
-    def declare(self) -> tuple[Variable, ...]:
-        """Return the variables, in the order of their value references."""
-
-    @abstractmethod
     def start(self, start_time: float) -> None:
-        """Make the core anew from the parameters. Raises NdobError where they admit none."""
+        """Make the core anew from the parameters, and `state`. Raises NdobError where they admit none."""
 
     @abstractmethod
     def show(self) -> Iterable[Any]:
@@ -79,11 +95,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         """Return the present value of one variable."""
         return self._values[self._value_reference[name]]
 
-    # -- called by pythonfmu
+    # -- called by pythonfmu: from mode to mode
 
     def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
-        """Note the time at which the simulation starts."""
-        self._start_time = start_time
+        """Note when the simulation starts and stops."""
+        self._start_time = self._time = start_time
+        self._stop_time = stop_time
 
     def enter_initialization_mode(self) -> None:
         """From here on the outputs follow parameters and inputs at once."""
@@ -91,46 +108,110 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._started_with = None
 
     def exit_initialization_mode(self) -> None:
-        """Fix the parameters. A design that they do not admit ends the instance here, with its reason logged."""
-        self._refresh()
-        self._initializing = False
+        """Fix the parameters; with some that admit no core the instance stays in initialization mode, for others."""
+        if self._refresh():
+            self._initializing = False
 
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Advance the core; a step that cannot be taken is logged and discarded."""
+        """Advance the core; a step that cannot be taken is logged and changes nothing."""
+        if not (0.0 < step_size < np.inf and abs(current_time - self._time) <= _TIME_TOLERANCE * step_size):
+            return self._discard_step(current_time, step_size)
+        end = current_time + step_size
+        if self._stop_time is not None and end > self._stop_time + _TIME_TOLERANCE * step_size:
+            self._report("end of the step", f"at most the stop time {self._stop_time:g} s", f"{end:g} s")
+            return False
+        if self._initializing:  # without a front the host did not learn that initialization failed
+            self.exit_initialization_mode()
+            if self._initializing:
+                return False
+        before = self.state
         try:
-            if not (isfinite(step_size) and step_size > 0.0):
-                raise NdobError.report("communication step", expected="a finite time > 0 s", received=repr(step_size))
             # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
             with np.errstate(all="ignore"):
                 self._publish(self.advance(current_time, step_size))
         except NdobError as error:
+            self.state = before
             self.log(str(error), Fmi2Status.discard)
             return False
+        self._time = end
         return True
+
+    # -- called by pythonfmu: values
 
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return the values of Real variables."""
-        return [float(value) for value in self._get(vrs)]
+        return self._get("Real", vrs)
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Return the values of Boolean variables."""
-        return [bool(value) for value in self._get(vrs)]
+        return self._get("Boolean", vrs)
 
     def get_integer(self, vrs: list[int]) -> list[int]:
         """Return the values of Integer and Enumeration variables."""
-        return [int(value) for value in self._get(vrs)]
+        return self._get("Integer", vrs)
+
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Return the values of String variables."""
+        return self._get("String", vrs)
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Set Real variables."""
-        self._set(vrs, values)
+        self._set("Real", vrs, values)
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         """Set Boolean variables."""
-        self._set(vrs, values)
+        self._set("Boolean", vrs, values)
 
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
         """Set Integer and Enumeration variables."""
-        self._set(vrs, values)
+        self._set("Integer", vrs, values)
+
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        """Set String variables."""
+        self._set("String", vrs, values)
+
+    # -- called by pythonfmu: the memory
+
+    def _get_fmu_state(self) -> Snapshot:
+        return Snapshot(
+            slave=self._identity(),
+            values=tuple(self._values),
+            refused=dict(self._refused),
+            started_with=self._started_with,
+            core=self.state,
+            initializing=self._initializing,
+            stale=self._stale,
+            start_time=self._start_time,
+            stop_time=self._stop_time,
+            time=self._time,
+        )
+
+    def _set_fmu_state(self, snapshot: Snapshot | NdobError) -> None:
+        if isinstance(snapshot, NdobError):
+            self.log(str(snapshot), Fmi2Status.error)
+            return
+        if snapshot.slave != self._identity():
+            self._report("FMU state", f"one of {self._identity()}", f"one of {snapshot.slave}")
+            return
+        self._values = list(snapshot.values)
+        self._refused = dict(snapshot.refused)
+        self._initializing, self._stale = snapshot.initializing, snapshot.stale
+        self._start_time, self._stop_time, self._time = snapshot.start_time, snapshot.stop_time, snapshot.time
+        if snapshot.started_with not in (None, self._started_with):
+            self.start(self._start_time)
+        self._started_with, self.state = snapshot.started_with, snapshot.core
+
+    @classmethod
+    def _fmu_state_to_bytes(cls, snapshot: Snapshot) -> bytes:
+        return to_bytes(snapshot)
+
+    @classmethod
+    def _fmu_state_from_bytes(cls, data: bytes) -> Snapshot | NdobError:
+        """Return what the bytes hold, or why they hold nothing: pythonfmu calls the class, which cannot log."""
+        try:
+            return from_bytes(data, cls.state_types)
+        except NdobError as error:
+            return error
 
     # -- inside
 
@@ -144,48 +225,107 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 variability=Fmi2Variability[variable.variability],
                 initial=Fmi2Initial.calculated if output else Fmi2Initial.exact if exact else None,
                 description=variable.description,
-                getter=lambda: self._get([index])[0],
-                setter=lambda value: self._set([index], [value]),
-            )
+                getter=lambda: self._values[index],
+            ),
+            nested=False,
         )
 
-    def _get(self, vrs: list[int]) -> list[Any]:
+    def _references(self, causality: str) -> list[int]:
+        return [index for index, variable in enumerate(self._variables) if variable.causality == causality]
+
+    def _identity(self) -> str:
+        return f"{type(self).__module__}.{type(self).__name__}"
+
+    def _get(self, kind: str, vrs: list[int]) -> list[Any]:
+        if vrs != self._read.get(kind):
+            if not self._known(kind, vrs):
+                return [_NOTHING[kind]] * len(vrs)
+            self._read[kind] = vrs
         if self._stale:
             self._refresh()
         values = self._values
         return [values[vr] for vr in vrs]
 
-    def _set(self, vrs: list[int], new: list[Any]) -> None:
-        values = self._values
+    def _set(self, kind: str, vrs: list[int], new: list[Any]) -> None:
+        if not self._known(kind, vrs):
+            return
         for vr, value in zip(vrs, new, strict=True):
-            values[vr] = value
+            if vr in self._input_references or self._may_set(vr, value):
+                self._values[vr] = value
         self._stale = self._initializing
 
-    def _refresh(self) -> None:
-        parameters = [self._values[vr] for vr in self._parameter_references]
-        if parameters != self._started_with:
-            # An error ends the instance. It is not logged here: pythonfmu logs it, but drops it if there are messages.
-            self._check_parameters()
-            self.start(self._start_time)
-            self._started_with = parameters
-        self._publish(self.show())
-        self._stale = False
+    def _known(self, kind: str, vrs: list[int]) -> bool:
+        known = self._of_type[kind]
+        if known.issuperset(vrs):
+            return True
+        unknown = next(vr for vr in vrs if vr not in known)
+        self._report("value reference", f"one of a {kind} variable", str(unknown))
+        return False
 
-    def _check_parameters(self) -> None:
-        for variable in self._variables:
-            value = self.value(variable.name)
-            if variable.causality != "parameter":
-                continue
-            if variable.items is not None and value not in variable.items.values():
-                allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
-                raise NdobError.report(variable.name, expected=f"one of {allowed}", received=repr(value))
-            too_small = variable.minimum is not None and value < variable.minimum
-            too_large = variable.maximum is not None and value > variable.maximum
-            if not isfinite(value) or too_small or too_large:
-                least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
-                most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
-                raise NdobError.report(variable.name, expected=f"a finite number{least}{most}", received=repr(value))
+    def _may_set(self, vr: int, value: Any) -> bool:
+        variable = self._variables[vr]
+        if variable.causality == "output":
+            self._report(variable.name, "an input or a parameter", "an output")
+            return False
+        if self._started_with is not None and not self._initializing:
+            self._report(variable.name, "a value before the end of initialization", f"{value!r} after it")
+            return False
+        self._refused.pop(vr, None)
+        expected = _acceptable(variable, value)
+        if expected:
+            # It is kept, so that a host that overlooks the status does not run with another value than it set.
+            self._refused[vr] = self._report(variable.name, expected, repr(value))
+        return True
+
+    def _report(self, where: str, expected: str, received: str) -> str:
+        message = str(NdobError.report(where, expected=expected, received=received))
+        self.log(message, Fmi2Status.error)
+        return message
+
+    def _discard_step(self, current_time: float, step_size: float) -> bool:
+        if 0.0 < step_size < np.inf:
+            where, expected, received = "time of the step", f"{self._time!r} s, where the last one ended", current_time
+        else:
+            where, expected, received = "communication step", "a finite time > 0 s", step_size
+        message = NdobError.report(where, expected=expected, received=f"{received!r} s")
+        self.log(str(message), Fmi2Status.discard)
+        return False
+
+    def _refresh(self) -> bool:
+        """Bring the outputs up to date in initialization mode; log why where that cannot be done."""
+        parameters = tuple(self._values[vr] for vr in self._parameter_references)
+        try:
+            if self._refused:
+                self.log(next(iter(self._refused.values())), Fmi2Status.error)
+                return False
+            if parameters != self._started_with:
+                self._started_with = None
+                self.start(self._start_time)
+                self._started_with = parameters
+            with np.errstate(all="ignore"):
+                self._publish(self.show())
+        except NdobError as error:
+            self.log(str(error), Fmi2Status.error)
+            return False
+        self._stale = False
+        return True
 
     def _publish(self, outputs: Iterable[Any]) -> None:
         for vr, value in zip(self._output_references, outputs, strict=True):
             self._values[vr] = value
+
+
+def _acceptable(variable: Variable, value: Any) -> str:
+    """Return what a parameter's value should have been, or nothing if it is that."""
+    if variable.type in ("Boolean", "String"):
+        return ""
+    if variable.items is not None:
+        allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
+        return "" if value in variable.items.values() else f"one of {allowed}"
+    too_small = variable.minimum is not None and value < variable.minimum
+    too_large = variable.maximum is not None and value > variable.maximum
+    if isfinite(value) and not too_small and not too_large:
+        return ""
+    least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
+    most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
+    return f"a finite number{least}{most}"
