@@ -332,11 +332,10 @@ def test_the_first_row_of_a_coupled_run_has_the_right_values(flexible_joint):
 )
 def test_an_observer_with_parameters_that_mean_nothing_ends_with_one_message(flexible_joint, caplog, name, value, says):
     caplog.set_level(logging.INFO, logger="ndob_fmu.fmu")
-    with driven(flexible_joint.observer, {**PAPER, name: value}) as observer:
-        with pytest.raises(SimulationError) as error:
-            observer.component.initialize()
-        assert says in str(error.value)
-        assert len(caplog.records) == 1
+    with pytest.raises(SimulationError) as error, driven(flexible_joint.observer, {**PAPER, name: value}) as observer:
+        observer.component.initialize()
+    assert says in str(error.value)
+    assert len(caplog.records) == 1
     # The process and its interpreter are as good as before.
     with driven(flexible_joint.observer, PAPER) as observer:
         observer.component.initialize()
@@ -353,7 +352,7 @@ def test_an_observer_with_parameters_that_mean_nothing_ends_with_one_message(fle
     ],
 )
 def test_a_plant_with_parameters_that_mean_nothing_ends_with_one_message(flexible_joint, name, value, says):
-    with driven(flexible_joint.plant, {name: value}) as plant, pytest.raises(SimulationError) as error:
+    with pytest.raises(SimulationError) as error, driven(flexible_joint.plant, {name: value}) as plant:
         plant.component.initialize()
     assert says in str(error.value)
 
