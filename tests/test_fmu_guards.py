@@ -1,0 +1,131 @@
+"""What a host can do by mistake: one message, a status, and an instance that is as good as before.
+
+The same slave behind its front, which makes the status of what the slave says, and without one, as on Windows.
+"""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import pytest
+from fmi_instance import DISCARD, ERROR, OK, opened
+
+from ndob_fmu import build, load_model
+from ndob_fmu.fmu import front
+
+H = 1e-3
+
+
+@pytest.fixture(scope="module")
+def without_front(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(front.platform, "machine", lambda: "another")
+        return build(load_model("flexible_joint"), tmp_path_factory.mktemp("stock"))
+
+
+@pytest.fixture(params=["with a front", "without"])
+def host(request, flexible_joint, without_front):
+    """An observer, and the status that a refusal has there outside doStep."""
+    guarded = request.param == "with a front"
+    with opened(flexible_joint.observer if guarded else without_front[1]) as instance:
+        instance.refusal = ERROR if guarded else OK
+        yield instance
+
+
+def test_nothing_is_said_when_all_is_well(host):
+    host.begin()
+    for k in range(20):
+        host.step(k * H, H, motor_angle=0.1, link_angle=nan if k == 10 else 0.2)
+    assert not host.said
+
+
+@pytest.mark.parametrize(
+    ("t", "step"), [(0.0, 0.0), (0.0, -H), (0.0, nan), (0.0, inf), (H, H), (-H, H), (nan, H), (inf, H)]
+)
+def test_a_step_that_cannot_be_is_discarded_and_the_right_one_taken(host, t, step):
+    host.begin()
+    before = host.get()
+    assert host.doStep(t, step) == DISCARD
+    assert host.get() == before
+    (message,) = host.said
+    assert (
+        "expected a finite time > 0 s" in message
+        if step != H
+        else "expected 0.0 s, where the last one ended" in message
+    )
+    assert host.doStep(0.0, H) == OK
+    assert host.doStep(H * (1.0 + 1e-9), H) == OK  # a host's rounding error
+
+
+def test_a_step_past_the_stop_time_is_refused(host):
+    host.begin(stop_time=2.0 * H)
+    assert host.doStep(0.0, H) == OK
+    assert host.doStep(H, 2.0 * H) == (ERROR if host.refusal else DISCARD)
+    assert host.said == ["end of the step: expected at most the stop time 0.002 s, received 0.003 s"]
+    assert host.doStep(H, H) == OK
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "right", "says"),
+    [
+        ("pi_end", -1.0, 1e8, "pi_end: expected a finite number of at least 0, received -1.0"),
+        ("joint_stiffness", nan, 1.0, "joint_stiffness: expected a finite number, received nan"),
+        (
+            "disturbance_order",
+            7,
+            2,
+            "disturbance_order: expected a finite number of at least 0 and at most 3, received 7",
+        ),
+        ("method", 3, 2, "method: expected one of 1 (paper), 2 (sampled_data), received 3"),
+    ],
+)
+def test_a_parameter_out_of_its_range_is_refused_until_it_is_set_right(host, name, wrong, right, says):
+    assert host.setupExperiment(startTime=0.0) == OK
+    assert host.set(name, wrong) == host.refusal
+    assert host.enterInitializationMode() == OK
+    assert host.exitInitializationMode() == host.refusal
+    assert host.said == [says, says]
+    if not host.refusal:
+        assert host.doStep(0.0, H) == DISCARD
+    assert host.set(name, right) == OK
+    assert host.exitInitializationMode() == OK
+    host.step(0.0, H, motor_angle=1.0, link_angle=1.0)
+
+
+def test_parameters_that_admit_no_design_can_be_corrected_too(host):
+    """A bound of 0 is within the declared range, but no disturbance to design for."""
+    assert host.setupExperiment(startTime=0.0) == OK
+    assert host.set("disturbance_bound", 0.0) == OK
+    assert host.enterInitializationMode() == OK
+    assert host.exitInitializationMode() == host.refusal
+    assert host.said == ["disturbance_bound: expected finite numbers > 0, received [0.]"]
+    assert host.set("disturbance_bound", 3.0) == OK
+    assert host.exitInitializationMode() == OK
+
+
+def test_fixed_parameters_and_outputs_are_not_set_in_step_mode(host):
+    host.begin()
+    first = host.step(0.0, H, motor_angle=0.3, link_angle=0.1)
+    assert host.set("noise_std", 1.0) == host.refusal
+    assert host.set("load_torque_hat", 1.0) == host.refusal
+    assert len(host.said) == 2
+    assert host.get() == first
+
+
+def test_references_that_are_none_or_of_another_type_change_nothing(host):
+    host.begin()
+    real, integer = (host.variables[name].valueReference for name in ("motor_angle", "disturbance_order"))
+    for references in ([999], [real, integer]):
+        assert host.setReal(references, [5.0] * len(references)) == host.refusal
+        assert host.getReal(references) == host.refusal
+    assert len(host.said) == 4
+    assert host.fmu.getReal([real]) == [0.0]
+
+
+def test_a_plant_whose_solution_leaves_the_finite_numbers_discards_the_step_and_keeps_its_state(flexible_joint):
+    with opened(flexible_joint.plant) as plant:
+        plant.begin(motor_damping=-1e5)
+        before = plant.get()
+        assert plant.doStep(0.0, 1.0) == DISCARD
+        assert plant.get() == before
+        assert plant.doStep(0.0, 1e-6) == OK
