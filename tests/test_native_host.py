@@ -282,7 +282,57 @@ def test_nothing_is_logged_when_all_is_well_and_categories_choose_what_is(plant)
     assert done.replies[1:3] == ["log Warning", "log OK"]
 
 
+def test_what_the_slave_refuses_is_an_error_until_it_is_put_right(observer):
+    alpha = observer.references("alpha")
+    done = observer.run(
+        "new a", *STEP[1:3], f"setR {alpha} nan", "exit", "getR 3", f"setR {alpha} 1", "exit", "step 0 0.1"
+    )
+    assert [reply.split()[-1] for reply in done.replies[3:]] == ["Error", "Error", "Error", "OK", "OK", "OK"]
+    assert len(done.log) == 3
+    for status, category, text in done.log:
+        assert (status, category) == ("Error", "logStatusError")
+        assert "alpha: expected" in text
+        assert "received nan" in text
+
+
+def test_a_step_that_cannot_be_taken_is_discarded_and_the_right_one_follows(plant):
+    wrong = ("step 0.1 0", "step 0.1 -1", "step 0.1 nan", "step 0.1 inf", "step 7 0.1", "step nan 0.1")
+    done = plant.run(*STEP, "step 0 0.1", "getR 2,3", *wrong, "getR 2,3", "last", "step 0.1 0.1", "last", "step 0.2 20")
+    before, *statuses, after, last, step, end, beyond = done.replies[5:]
+    assert before == after
+    assert statuses == ["step Discard"] * 6
+    assert (last, step, end, beyond) == (
+        "0.10000000000000001 last OK",
+        "step OK",
+        "0.20000000000000001 last OK",
+        "step Error",
+    )
+    assert [status for status, _, _ in done.log] == ["Discard"] * 6 + ["Error"]
+
+
+def test_warnings_are_told_only_to_those_who_asked(plant):
+    steps = (*STEP[1:], "setR 0 nan", "step 0 0.1", "free")
+    for instance, logged in (("new a", []), ("new a - on", ["Warning"])):
+        done = plant.run(instance, *steps)
+        assert done.replies[-2:] == ["step Warning", "free OK"]
+        assert [status for status, _, _ in done.log] == logged
+
+
 # -- state
+
+
+@pytest.mark.parametrize("name", ["plant", "observer"])
+def test_a_state_goes_on_with_the_same_bits_in_another_process_and_after_a_reset(request, name, tmp_path):
+    native = request.getfixturevalue(name)
+    saved, outputs = tmp_path / "state", "3,4,5,6"
+    start = ("new a", "setup 0 10", "enter", "exit", f"run 5 0.01 0,1 {outputs}", "save", f"bytes {saved}")
+    following = [f"step {0.05 + 0.01 * k!r} 0.01" for k in range(3)]
+    going_on = ("last", "setR 0,1 0.5,0.25", *following, f"getR {outputs}", "last")
+    first = native.run(*start, *going_on, "reset", "restore", *going_on)
+    other = native.run("new b", f"unbytes {saved}", "restore", *going_on)
+    assert first.log == other.log == []
+    assert first.replies[7:14] == first.replies[16:23] == other.replies[3:10]
+    assert first.replies[7] == "0.050000000000000003 last OK"
 
 
 def test_a_state_of_another_fmu_a_freed_or_damaged_one_is_refused(plant, observer, tmp_path):

@@ -76,6 +76,7 @@ int main(int count, char *words[]) {
     fmi2FMUstate state = NULL;
     double time = 0.0;
     static char bytes[1 << 20];
+    setvbuf(stdout, NULL, _IOLBF, 0);
     for (char line[8192]; fgets(line, sizeof line, stdin);) {
         char *word[8] = {0}, *rest = line;
         line[strcspn(line, "\n")] = '\0';

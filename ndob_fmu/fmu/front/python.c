@@ -254,15 +254,28 @@ static void delete_state(void *state) {
     py.PyThreadState_DeleteCurrent();
 }
 
+/* Let go of the GIL if the calling thread has it, so that no thread waits for it with the lock that this one wants. */
+static void *gil_released(void **restore) {
+    int (*initialized)(void) = (int (*)(void))dlsym(RTLD_DEFAULT, "Py_IsInitialized");
+    int (*held)(void) = (int (*)(void))dlsym(RTLD_DEFAULT, "PyGILState_Check");
+    void *(*save)(void) = (void *(*)(void))dlsym(RTLD_DEFAULT, "PyEval_SaveThread");
+    *restore = dlsym(RTLD_DEFAULT, "PyEval_RestoreThread");
+    return initialized && held && save && *restore && initialized() && held() ? save() : NULL;
+}
+
 bool python_start(const Description *description, char *reason, size_t size, char *warning, size_t warning_size) {
     Reasons reasons = {reason, size, 0};
     *reason = *warning = '\0';
-    pthread_mutex_lock(&ndob_fmu_python_lock);
-    if (!ready && pthread_key_create(&kept_state, delete_state) == 0) {
-        if (find(description, &reasons, warning, warning_size)) ready = true;
-        else pthread_key_delete(kept_state);
+    if (!ready) {
+        void *restore, *state = gil_released(&restore);
+        pthread_mutex_lock(&ndob_fmu_python_lock);
+        if (!ready && pthread_key_create(&kept_state, delete_state) == 0) {
+            if (find(description, &reasons, warning, warning_size)) ready = true;
+            else pthread_key_delete(kept_state);
+        }
+        pthread_mutex_unlock(&ndob_fmu_python_lock);
+        if (state) ((void (*)(void *))restore)(state);
     }
-    pthread_mutex_unlock(&ndob_fmu_python_lock);
     if (!ready) return false;
     if (!python_alive()) return add_reason(&reasons, "the process's Python has ended"), false;
     return true;
