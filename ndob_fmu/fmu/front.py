@@ -127,7 +127,7 @@ def _compiled(wish: str) -> bytes | None:
             check=False,
         )
         if done.returncode != 0 or not target.exists():
-            said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
-            _log.warning(_LOST, f"expected {compiler[0]} to compile it, received {said or done.returncode!r}")
+            said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
+            _log.warning(_LOST, f"expected {compiler[0]} to compile it, received {said}")
             return None
         return target.read_bytes()

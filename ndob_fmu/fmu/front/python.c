@@ -215,7 +215,8 @@ static bool take(const Candidate *candidate, void *library, Reasons *reasons, bo
     if (library) {
         int minor = candidate->minor, has = 0;
         const char *(*version)(void) = (const char *(*)(void))dlsym(library, "Py_GetVersion");
-        if (!minor) sscanf(candidate->library, "%*[^0-9]3.%d", &minor);
+        const char *name = strrchr(candidate->library, '/');
+        if (!minor && name) sscanf(name, "/libpython3.%d", &minor);
         if (!version || sscanf(version(), "3.%d", &has) != 1 || (minor && has != minor))
             return add_reason(reasons, "%s is not the version of the process's Python", candidate->executable), false;
     } else if (!(library = dlopen(candidate->library, RTLD_NOW | RTLD_GLOBAL))) {
