@@ -34,6 +34,8 @@ _TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": I
 _NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
 # A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
 _TIME_TOLERANCE = 1e-3
+# What computing with impossible numbers raises; LinAlgError is a ValueError.
+_FAILURES = (NdobError, ArithmeticError, ValueError)
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type information
@@ -129,9 +131,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
             with np.errstate(all="ignore"):
                 self._publish(self.advance(current_time, step_size))
-        except NdobError as error:
+        except _FAILURES as error:
             self.state = before
-            self.log(str(error), Fmi2Status.discard)
+            self.log(_reason("step", error), Fmi2Status.discard)
             return False
         self._time = end
         return True
@@ -193,12 +195,15 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         if snapshot.slave != self._identity():
             self._report("FMU state", f"one of {self._identity()}", f"one of {snapshot.slave}")
             return
+        if snapshot.started_with not in (None, self._started_with):
+            # In initialization mode others may have been set since, which need not even admit a core.
+            for vr, value in zip(self._parameter_references, snapshot.started_with, strict=True):
+                self._values[vr] = value
+            self.start(snapshot.start_time)
         self._values = list(snapshot.values)
         self._refused = dict(snapshot.refused)
         self._initializing, self._stale = snapshot.initializing, snapshot.stale
         self._start_time, self._stop_time, self._time = snapshot.start_time, snapshot.stop_time, snapshot.time
-        if snapshot.started_with not in (None, self._started_with):
-            self.start(self._start_time)
         self._started_with, self.state = snapshot.started_with, snapshot.core
 
     @classmethod
@@ -304,8 +309,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 self._started_with = parameters
             with np.errstate(all="ignore"):
                 self._publish(self.show())
-        except NdobError as error:
-            self.log(str(error), Fmi2Status.error)
+        except _FAILURES as error:
+            self.log(_reason("start", error), Fmi2Status.error)
             return False
         self._stale = False
         return True
@@ -313,6 +318,13 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def _publish(self, outputs: Iterable[Any]) -> None:
         for vr, value in zip(self._output_references, outputs, strict=True):
             self._values[vr] = value
+
+
+def _reason(where: str, error: Exception) -> str:
+    if isinstance(error, NdobError):
+        return str(error)
+    received = f"{error} ({type(error).__name__})"
+    return str(NdobError.report(where, expected="numbers that can be computed with", received=received))
 
 
 def _acceptable(variable: Variable, value: Any) -> str:

@@ -106,7 +106,7 @@ def test_the_manipulation_toolbox_finds_no_error_against_schema_and_rules(fmus):
 
 def test_the_checks_do_find_what_is_wrong(fmus, tmp_path):
     plant = fmus["FlexibleJointPlant"]
-    no_start = altered(plant, tmp_path, b'<Real start="0" declaredType="Torque"', b'<Real declaredType="Torque"')
+    no_start = altered(plant, tmp_path, b'<Real start="0.0" declaredType="Torque"', b'<Real declaredType="Torque"')
     assert any("start" in problem for problem in validate_fmu(str(no_start)))
     assert any("start value is required" in finding for finding in toolbox_findings(no_start))
     unknown = altered(plant, tmp_path, b'causality="input"', b'causality="inlet"')

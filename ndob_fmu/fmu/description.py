@@ -128,8 +128,11 @@ def _complete_variable(element: ET.Element, variable: Variable, type_names: Mapp
     typed = element[0]
     if variable.items is not None:
         typed.tag = "Enumeration"
+    # pythonfmu writes 16 digits, and with them another number than the FMU starts with.
+    start = variable.start if isinstance(variable.start, float) and "start" in typed.attrib else None
     for attribute, value in (
         ("declaredType", type_names.get(_type_key(variable))),
+        ("start", start),
         ("unit", variable.unit or None),
         ("min", variable.minimum),
         ("max", variable.maximum),
