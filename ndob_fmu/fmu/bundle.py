@@ -47,17 +47,22 @@ def bundle(
     modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
+        # pythonfmu's binary runs this once more for every instance, and each time keeps what it finds and gives up
+        # one reference too many to the globals: without one to spare these are freed, and the next crashes the host.
+        f'if "{class_name}" in globals():\n'
+        f'    {class_name} = globals()["{class_name}"]\n'
+        f"    SPARE.append(globals())\n"
+        f"else:\n"
+        f"    SPARE = []\n\n"
         # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
         # by the time another FMU of the process asks for the rest.
-        f"from {package} import {modules}\n"
-        + (f"from {data} import {', '.join(arguments)}\n" if arguments else "")
-        + f"from {package}.{slave_module} import {slave_class}\n\n\n"
-        f"class {class_name}({slave_class}):\n"
-        f'    """The {slave_class} of this FMU."""\n\n'
-        # pythonfmu's binary gives up one reference too many to this module's globals at every load. A function
-        # holds one; without any the globals are freed under the module, and the next load crashes the host.
-        f"    def __init__(self, **kwargs):\n"
-        f"        super().__init__({''.join(f'{name}, ' for name in arguments)}**kwargs)\n"
+        f"    from {package} import {modules}\n"
+        + (f"    from {data} import {', '.join(arguments)}\n" if arguments else "")
+        + f"    from {package}.{slave_module} import {slave_class}\n\n"
+        f"    class {class_name}({slave_class}):\n"
+        f'        """The {slave_class} of this FMU."""\n\n'
+        f"        def __init__(self, **kwargs):\n"
+        f"            super().__init__({''.join(f'{name}, ' for name in arguments)}**kwargs)\n"
     )
     digest = _digest(files | {"": entry_text})
     entry = f"{class_name}_{digest}.py"
