@@ -69,7 +69,7 @@ class PlantSlave(Slave):
         given = tuple(self.values([*eq.inputs, *eq.disturbances]))
         if all(map(isfinite, given)):
             return given
-        self.log(f"inputs that are not finite are held at t = {self.state.plant.t:g} s", Fmi2Status.warning)
+        self.log("inputs that are not finite are held", Fmi2Status.warning)
         return tuple(new if isfinite(new) else old for new, old in zip(given, self.state.held, strict=True))
 
     def _outputs(self, state: PlantState, d: Sequence[float]) -> list[float]:

@@ -6,6 +6,7 @@ here: it is logged with a status, which the FMU's front (`ndob_fmu/fmu/front/`) 
 
 from __future__ import annotations
 
+import sys
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from math import isfinite, nan
@@ -219,6 +220,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             return error
 
     # -- inside
+
+    def log(self, msg: str, status: Fmi2Status) -> None:
+        """Say it to the host, by the category of its status."""
+        # pythonfmu's binary never gives up the texts that it passes on: so equal ones should be one.
+        super().log(sys.intern(msg), status, sys.intern(f"logStatus{status.name.capitalize()}"))
 
     def _register(self, index: int, variable: Variable) -> None:
         output = variable.causality == "output"

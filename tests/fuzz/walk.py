@@ -7,6 +7,7 @@ instance that was alone.
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections import Counter
 from collections.abc import Callable
@@ -69,7 +70,7 @@ class Walk:
         self.bytes: list[tuple[Library, bytes, Memory]] = []
         self.counts: Counter[tuple[str, str]] = Counter()
         self.made = 0
-        self.alone = {library: _run(library, library.new("alone"), ALONE) for library in libraries}
+        self.alone = {library: _alone(library) for library in libraries}
         self.witnesses = {library: (library.new("witness"), 0) for library in libraries}
 
     def close(self) -> None:
@@ -570,6 +571,14 @@ def _one_step(library: Library, handle: c_void_p, k: int) -> bytes:
 def _run(library: Library, handle: c_void_p, steps: int) -> list[bytes]:
     library.begin(handle)
     return [_one_step(library, handle, k) for k in range(steps)]
+
+
+@functools.cache
+def _alone(library: Library) -> list[bytes]:
+    handle = library.new("alone")
+    rows = _run(library, handle, ALONE)
+    library.FreeInstance(handle)
+    return rows
 
 
 def _bits(values) -> bytes:
