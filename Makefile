@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench regression exits clean
+.PHONY: demo test build lint bench regression exits soak clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -26,6 +26,10 @@ regression: .venv/installed-test build
 
 exits: .venv/installed-test
 	$(BIN)/python tests/native_host.py 100
+
+soak: .venv/installed-test build
+	$(BIN)/python -m tests.fuzz --calls 100000 --seed 1 --fmus build/fmus
+	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
 
 clean:
 	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -95,10 +95,10 @@ class Stepped:
         inputs, outputs = ([v.valueReference for v in real if v.causality == kind] for kind in ("input", "output"))
         self.inputs, self.outputs = (c_uint * len(inputs))(*inputs), (c_uint * len(outputs))(*outputs)
         self.given, self.received = (c_double * len(inputs))(), (c_double * len(outputs))()
-        self.time = 0.0
         self.begin()
 
     def begin(self) -> None:
+        self.time = 0.0
         self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()
         self.fmu.exitInitializationMode()
@@ -121,10 +121,13 @@ def steady(folder: Path, steps: int) -> Memory:
 
 
 def varying(folder: Path, steps: int) -> Memory:
-    """The growth over this many steps, of another size every fifty, every seventh without finite inputs."""
+    """The growth over this many steps, of another size every fifty, one in fifty without finite inputs.
+
+    pythonfmu keeps the text of each message and a plant has one for each such step, so there are not more of them.
+    """
     instance, random = Stepped(folder), Random(1)
     sizes = [random.uniform(0.5 * H, 2.0 * H) for _ in range(steps // 50 + 1)]
-    return _growth(steps, lambda k: instance.step(sizes[k // 50], nan if k % 7 == 3 else 0.01))
+    return _growth(steps, lambda k: instance.step(sizes[k // 50], nan if k % 50 == 3 else 0.01))
 
 
 def _growth(steps: int, step) -> Memory:
@@ -138,7 +141,7 @@ def _growth(steps: int, step) -> Memory:
 
 
 def crowds(folder: Path, rounds: int) -> Memory:
-    """The growth over rounds, after two, of 100 instances that are made and freed in three orders; every tenth steps."""
+    """The growth over rounds, after two, of 100 instances, freed in three orders; every tenth takes a step."""
     random = Random(1)
     before = None
     for k in range(rounds + 2):
@@ -182,12 +185,18 @@ def native(fmu: Path, steps: int, work: Path) -> int:
 RUNS = {"steady": steady, "varying": varying, "crowds": crowds}
 
 
+def unpacked(fmu: Path, folder: Path) -> Path:
+    """Unpack the FMU into the folder."""
+    with zipfile.ZipFile(fmu) as archive:
+        archive.extractall(folder)
+    return folder
+
+
 def measure(fmu: Path, run: str, amount: int) -> Memory:
     """Unpack the FMU and have a fresh process measure."""
-    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder:
-        with zipfile.ZipFile(fmu) as archive:
-            archive.extractall(folder)
-        command = [sys.executable, "-m", "tests.soak", "--inside", run, folder, str(amount)]
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
+        folder = unpacked(fmu, Path(work))
+        command = [sys.executable, "-m", "tests.soak", "--inside", run, str(folder), str(amount)]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"the process that ran {run} of {fmu.name} ended with {done.returncode}: {done.stderr}")
