@@ -59,7 +59,7 @@ class PlantSlave(Slave):
         """Integrate to the end of the step."""
         m = len(self.equations.inputs)
         held = self._inputs()
-        after = self.plant.step(self.state.plant, held[:m], held[m:], t + step_size)
+        after = self.plant.step(self.state.plant, held[:m], held[m:], t + step_size, step_size)
         self.state = PlantMemory(plant=after, held=held)
         return self._outputs(after, held[m:])
 

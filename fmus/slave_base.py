@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
-from math import isfinite, nan
+from math import isfinite, nan, ulp
 from typing import Any, ClassVar
 
 import numpy as np
@@ -71,7 +71,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._started_with: tuple[Any, ...] | None = None
         self._initializing = False
         self._stale = False
-        self._start_time = self._time = 0.0
+        self._start_time = self._time = self._step_size = 0.0
         self._stop_time: float | None = None
         for index, variable in enumerate(variables):
             self._register(index, variable)
@@ -103,7 +103,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
         """Note when the simulation starts and stops."""
         self._start_time = self._time = start_time
-        self._stop_time = stop_time
+        self._stop_time, self._step_size = stop_time, 0.0
 
     def enter_initialization_mode(self) -> None:
         """From here on the outputs follow parameters and inputs at once."""
@@ -127,6 +127,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self.exit_initialization_mode()
             if self._initializing:
                 return False
+        # The step as the difference of two rounded times is another one each time, and a design is made for each.
+        if abs(step_size - self._step_size) <= 2.0 * ulp(end):
+            step_size = self._step_size
         before = self.state
         try:
             # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
@@ -136,7 +139,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self.state = before
             self.log(_reason("step", error), Fmi2Status.discard)
             return False
-        self._time = end
+        self._time, self._step_size = end, step_size
         return True
 
     # -- called by pythonfmu: values
@@ -187,6 +190,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             start_time=self._start_time,
             stop_time=self._stop_time,
             time=self._time,
+            step_size=self._step_size,
         )
 
     def _set_fmu_state(self, snapshot: Snapshot | NdobError) -> None:
@@ -204,7 +208,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._values = list(snapshot.values)
         self._refused = dict(snapshot.refused)
         self._initializing, self._stale = snapshot.initializing, snapshot.stale
-        self._start_time, self._stop_time, self._time = snapshot.start_time, snapshot.stop_time, snapshot.time
+        self._start_time, self._stop_time = snapshot.start_time, snapshot.stop_time
+        self._time, self._step_size = snapshot.time, snapshot.step_size
         self._started_with, self.state = snapshot.started_with, snapshot.core
 
     @classmethod

@@ -27,7 +27,8 @@ class Snapshot:
 
     slave: the class that it is of, whose module carries the digest of its code; values: of its variables, by value
     reference; refused: why a parameter cannot be used, by value reference; started_with: the parameters of the core,
-    None before it is made; core: its state; start_time, stop_time and time, the end of the last step (s).
+    None before it is made; core: its state; start_time, stop_time, time, the end of the last step,
+    and step_size, its length, 0 before the first (s).
     """
 
     slave: str
@@ -40,6 +41,7 @@ class Snapshot:
     start_time: float
     stop_time: float | None
     time: float
+    step_size: float
 
 
 def to_bytes(snapshot: Snapshot) -> bytes:

@@ -199,7 +199,7 @@ def same(a, b):
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(cores, st.lists(numbers).map(tuple))
 def test_any_memory_comes_back_from_its_bytes(core, values):
-    snapshot = Snapshot("module.Slave", values, {3: "why"}, None, core, True, False, 0.0, None, 0.1 + 0.2)
+    snapshot = Snapshot("module.Slave", values, {3: "why"}, None, core, True, False, 0.0, None, 0.1 + 0.2, 1e-3)
     data = to_bytes(snapshot)
     assert to_bytes(snapshot) == data
     back = from_bytes(data, (PlantState, History))
@@ -209,6 +209,6 @@ def test_any_memory_comes_back_from_its_bytes(core, values):
 
 
 def test_bytes_name_only_the_states_that_the_slave_has():
-    data = to_bytes(Snapshot("module.Slave", (), {}, None, PlantState(1.0, 2.0, 3.0), True, False, 0.0, None, 0.0))
+    data = to_bytes(Snapshot("module.Slave", (), {}, None, PlantState(1.0, 2.0, 3.0), True, False, 0.0, None, 0.0, 0.0))
     with pytest.raises(NdobError, match="FMU state: expected the bytes of a state of this FMU, received 'PlantState'"):
         from_bytes(data, (History,))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -38,20 +39,25 @@ class Plant:
         """Return the whole disturbance (q2,) at t: the generators' plus the input d (q2,)."""
         return [generator(t) + value for generator, value in zip(self.generators, d, strict=True)]
 
-    def step(self, state: PlantState, u: Vector, d: Vector, t_end: float) -> PlantState:
+    def step(self, state: PlantState, u: Vector, d: Vector, t_end: float, step_size: float | None = None) -> PlantState:
         """Advance to t_end with the inputs u (m,) and d (q2,) held and the generators running on.
 
+        step_size (s) is what t_end − t would be without the rounding of times, which an observer of high gain shows.
         Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
         """
-
-        def derivatives(t: float, x: Array) -> Array:
-            return np.array(
-                self.equations.derivatives(x.tolist(), u, self.disturbance(t, d), self.parameters), dtype=float
-            )
-
         breaks = sorted({b for g in self.generators for b in g.breaks if state.t < b < t_end})
-        x, t, substep = state.x, state.t, state.substep
-        for until in [*breaks, t_end]:
-            x, substep = integrate(derivatives, x, t, until, substep)
-            t = until
+        x, substep = state.x, state.substep
+        for begin, end in pairwise((state.t, *breaks, t_end)):
+            duration = end - begin if breaks or step_size is None else step_size
+            x, substep = integrate(self._derivatives(u, d, begin, end), x, 0.0, duration, substep)
         return PlantState(x=x, t=t_end, substep=substep)
+
+    def _derivatives(self, u: Vector, d: Vector, begin: float, end: float) -> Callable[[float, Array], Array]:
+        """Return ẋ as a function of the time since `begin` and x (n,); jumps of d at `end` are not seen."""
+        last_inside = np.nextafter(end, begin)
+
+        def derivatives(since: float, x: Array) -> Array:
+            total = self.disturbance(min(begin + since, last_inside), d)
+            return np.array(self.equations.derivatives(x.tolist(), u, total, self.parameters), dtype=float)
+
+        return derivatives
