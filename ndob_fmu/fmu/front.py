@@ -41,6 +41,7 @@ _FLAGS = (
     "-O2",
     "-fPIC",
     "-shared",
+    "-Wl,-z,nodelete",  # ecos closes the library while instances of it live on
     "-fvisibility=hidden",
     "-Wall",
     "-Wextra",
