@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench regression exits soak clean
+.PHONY: demo test build lint bench regression exits soak tools clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -30,6 +30,9 @@ exits: .venv/installed-test
 soak: .venv/installed-test build
 	$(BIN)/python -m tests.fuzz --calls 100000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
+
+tools: .venv/installed-test
+	$(BIN)/python tests/tools_page.py
 
 clean:
 	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,233 @@
+"""Each study in each tool that can run it, always in a process of its own: how far it is from our master."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import fmi_instance
+import numpy as np
+from clean_process import run_clean
+from importer_studies import coupled_twice, observer_alone, plant_alone, reference, run_again, shipped
+from importers import Rows, Study
+from native_host import Native, unpack
+
+from ndob_fmu.cosim import build_ssp
+
+TOLERANCE = 1e-9
+SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+HERE = Path(__file__).parent
+SPECIAL = "ä # + [ ( , ' x"
+PRINTED = 0.5e-6  # by what the six decimals of ecos's file may differ from the number
+
+# Which tools run what; the others do not offer it.
+PYTHON = ("fmpy", "libcosimpy", "ecospy")
+RUNS = {
+    "plant": (*PYTHON, "ecos", "C host"),
+    "observer, recorded inputs": (*PYTHON, "C host"),
+    "open_loop.ssp": ("libcosimpy", "ecospy", "ecos"),
+    "two plants, two observers": ("libcosimpy", "ecospy", "ecos"),
+    "run again": (*PYTHON, "C host"),
+    "special folder": (*PYTHON, "ecos", "C host"),
+    "state": ("fmpy", "C host"),
+}
+
+
+@dataclass
+class Bench:
+    """The FMUs, the package, the C host, and a folder to work in."""
+
+    plant: Path
+    observer: Path
+    package: Path
+    host: Path
+    folder: Path
+    _prepared: dict[str, tuple[Study, Path, list[Rows]]] = field(default_factory=dict)
+
+    def difference(self, tool: str, name: str) -> float:
+        """Run the study in the tool and return how far it is from the nearest of its references."""
+        return min(self.differences(tool, name))
+
+    def differences(self, tool: str, name: str) -> list[float]:
+        """Return how far it is from each; a package has one for the paper's method and one for the sampled-data one."""
+        if name not in self._prepared:
+            self._prepared[name] = self._prepare(name)
+        study, folder, expected = self._prepared[name]
+        rows = self._run(tool, name, study, Path(tempfile.mkdtemp(dir=folder)))
+        return [difference(rows, each, PRINTED if tool == "ecos" else 0.0) for each in expected]
+
+    def _prepare(self, name: str) -> tuple[Study, Path, list[Rows]]:
+        if name == "open_loop.ssp":
+            study = shipped(self.package)
+            return study, self.folder, [reference(study, method) for method in (1, 2)]
+        if name == "special folder":
+            folder = self.folder / SPECIAL
+            folder.mkdir()
+            plant = Path(shutil.copy(self.plant, folder))
+            study = replace(plant_alone(plant, self.observer), steps=500)
+            return study, folder, [reference(study)]
+        make = {
+            "plant": plant_alone,
+            "observer, recorded inputs": observer_alone,
+            "two plants, two observers": coupled_twice,
+            "run again": run_again,
+            "state": partial(observer_alone, steps=200),
+        }[name]
+        study = make(self.plant, self.observer)
+        return study, self.folder, [reference(study)]
+
+    def _run(self, tool: str, name: str, study: Study, folder: Path) -> Rows:
+        if tool == "C host":
+            ((_, path),) = study.instances.items()
+            return in_c_host(study, unpack(Path(path), folder / "fmu", self.host), restore=name == "state")
+        if tool == "ecos":
+            return in_ecos(study, folder)
+        return with_states(study) if name == "state" else in_python(tool, study, folder)
+
+
+def difference(rows: Rows, expected: Rows, rounding: float = 0.0) -> float:
+    """Return the largest difference of a signal, in itself or by the signal's size, whichever is more.
+
+    rounding: what the tool's own rounding of numbers may add to it. Infinite if the communication points are others;
+    these may round differently.
+    """
+    if rows.shape != expected.shape or not np.allclose(rows[:, 0], expected[:, 0], rtol=0.0, atol=1e-9):
+        return np.inf
+    size = np.minimum(1.0, np.abs(expected).max(axis=0))[1:]
+    found = np.abs(rows - expected)[:, 1:].max(axis=0)
+    return float((np.maximum(0.0, found - rounding) / size).max())
+
+
+def in_python(tool: str, study: Study, folder: Path) -> Rows:
+    """Return the rows of one of the tools of `importers`, which works in the folder."""
+    described, rows = folder / "study.json", folder / "rows.npy"
+    described.write_text(json.dumps(asdict(study)), "utf-8")
+    program = f"import sys; sys.path.append({str(HERE)!r}); import importers; importers.main(*sys.argv[1:])"
+    done = run_clean(program, tool, described, rows, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return np.load(rows)
+
+
+def in_ecos(study: Study, folder: Path) -> Rows:
+    """Return the rows of the program `ecos`, started with an empty environment; it prints six decimals."""
+    package = Path(study.package) if study.package else _packed(study, folder)
+    program = folder / "ecos"
+    shutil.copy(Path(find_spec("ecospy").origin).parent / "binaries" / "ecos", program)
+    program.chmod(0o755)
+    result = folder / f"{package.stem}.csv"
+    words = ["simulate", "--path", package, "--stepSize", f"{study.step_size:g}", "--parameterSet", "open_loop"]
+    words += ["--stopTime", f"{study.times[-1] + study.step_size / 2:.9g}", "--logLevel", "warn"]
+    done = subprocess.run(
+        [program, *words], cwd=folder, env={"TMPDIR": str(folder)}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    with result.open(encoding="utf-8") as file:
+        header, *lines = csv.reader(file, skipinitialspace=True)
+    columns = [header.index("time"), *(header.index(f"{c.replace('.', '::', 1)}[REAL]") for c in study.shown)]
+    return np.array([[float(line[column]) for column in columns] for line in lines])
+
+
+def in_c_host(study: Study, native: Native, *, restore: bool = False) -> Rows:
+    """Return the rows of the C host, started with an empty environment.
+
+    restore: half way the state is saved, other steps follow, and the run goes on from the state.
+    """
+    ((name, _),) = study.instances.items()
+
+    def refs(ports: Iterable[str]) -> str:
+        return native.references(*(port.removeprefix(f"{name}.") for port in ports))
+
+    def text(values: Iterable[float]) -> str:
+        return ",".join(map(repr, map(float, values)))
+
+    begin = ["setup 0", f"setR {refs(study.first)} {text(study.first.values())}", "enter", "exit"]
+    read, detour = f"getR {refs(study.shown)}", f"run 10 {study.step_size!r} - {refs(study.shown)}"
+    commands = ["new fmu", *begin]
+    if study.again:
+        commands += [detour, "reset", *begin]
+    commands.append(read)
+    for k, time in enumerate(study.times[:-1].tolist()):
+        if restore and k == study.steps // 2:
+            other = f"setR {refs(study.inputs)} {text([9.0] * len(study.inputs))}"
+            commands += ["save", other, f"step {time!r} {study.step_size!r}", "restore", "drop"]
+        if study.inputs:
+            commands.append(f"setR {refs(study.inputs)} {text(values[k] for values in study.inputs.values())}")
+        commands += [f"step {time!r} {study.step_size!r}", read]
+    done = native.run(*commands, "terminate", "free")
+    assert (done.code, done.log) == (0, [])
+    assert {reply.rsplit(" ", 1)[-1] for reply in done.replies} == {"OK"}
+    rows = [reply.split()[:-2] for reply in done.replies if reply.endswith("getR OK")]
+    return np.column_stack([study.times, np.array(rows, dtype=np.float64)])
+
+
+def with_states(study: Study) -> Rows:
+    """Return the rows of fmpy's FMU2Slave where another instance goes on half way, from the serialised state."""
+    ((name, path),) = study.instances.items()
+    starts = {port.removeprefix(f"{name}."): value for port, value in study.first.items()}
+    inputs = {port.removeprefix(f"{name}."): values for port, values in study.inputs.items()}
+    with fmi_instance.unpacked(path) as instance:
+        now, other = instance("first"), instance("second")
+        now.begin(**starts)
+        rows = [now.get()]
+        for k, time in enumerate(study.times[:-1].tolist()):
+            if k == study.steps // 2:
+                status, state = other.from_bytes(now.bytes_of(now.state()))
+                assert status == other.setFMUState(state) == fmi_instance.OK
+                now = other
+            rows.append(now.step(time, study.step_size, **{port: values[k] for port, values in inputs.items()}))
+    shown = [column.removeprefix(f"{name}.") for column in study.shown]
+    return np.column_stack([study.times, [[row[column] for column in shown] for row in rows]])
+
+
+def _packed(study: Study, folder: Path) -> Path:
+    """Write the study as an SSP package."""
+    source, fmus = folder / "study", folder / "fmus"
+    source.mkdir()
+    fmus.mkdir()
+    for path in study.instances.values():
+        shutil.copy(path, fmus)
+    for name in study.instances:
+        values = "".join(
+            f'<ssv:Parameter name="{port.split(".", 1)[1]}"><ssv:Real value="{value!r}"/></ssv:Parameter>'
+            for port, value in study.starts.items()
+            if port.startswith(f"{name}.")
+        )
+        (source / f"{name}.ssv").write_text(
+            f'<ssv:ParameterSet version="1.0" name="open_loop" xmlns:ssv="{SSP}ParameterValues">'
+            f"<ssv:Parameters>{values}</ssv:Parameters></ssv:ParameterSet>"
+        )
+    elements = "".join(
+        f'<ssd:Component name="{name}" source="resources/{Path(path).name}">'
+        f"<ssd:Connectors>{_connectors(study, name)}</ssd:Connectors>"
+        f'<ssd:ParameterBindings><ssd:ParameterBinding source="{name}.ssv"/></ssd:ParameterBindings></ssd:Component>'
+        for name, path in study.instances.items()
+    )
+    connections = "".join(
+        '<ssd:Connection startElement="{}" startConnector="{}" endElement="{}" endConnector="{}"/>'.format(
+            *first.split(".", 1), *second.split(".", 1)
+        )
+        for first, second in study.connections
+    )
+    (source / "SystemStructure.ssd").write_text(
+        f'<ssd:SystemStructureDescription version="1.0" name="study" xmlns:ssd="{SSP}Description" '
+        f'xmlns:ssc="{SSP}Common"><ssd:System name="study"><ssd:Elements>{elements}</ssd:Elements>'
+        f"<ssd:Connections>{connections}</ssd:Connections></ssd:System></ssd:SystemStructureDescription>"
+    )
+    return build_ssp(source, fmus, folder)
+
+
+def _connectors(study: Study, name: str) -> str:
+    ends = [(port, kind) for pair in study.connections for port, kind in zip(pair, ("output", "input"), strict=True)]
+    return "".join(
+        f'<ssd:Connector name="{port.split(".", 1)[1]}" kind="{kind}"><ssc:Real/></ssd:Connector>'
+        for port, kind in ends
+        if port.startswith(f"{name}.")
+    )

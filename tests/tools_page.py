@@ -1,0 +1,72 @@
+"""Run every study of `importer_runs` in every tool and write what came out into docs/tools.md.
+
+    python tests/tools_page.py
+
+Exit code 1 if a tool is further from our master than 1e-9.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+from fmpy.validation import validate_fmu
+from importer_runs import RUNS, TOLERANCE, Bench
+from native_host import compile_host
+from test_description import toolbox_findings
+
+from ndob_fmu import build, load_model
+from ndob_fmu.cosim import build_ssp
+from ndob_fmu.results import atomic_path
+from ndob_fmu.shipped import shipped_folder
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tools.md"
+BEGIN, END = "<!-- written by tests/tools_page.py: begin -->\n", "<!-- end -->\n"
+VERSIONS = {
+    "fmpy": ("FMPy",),
+    "libcosimpy": ("libcosimpy",),
+    "ecospy": ("ecospy",),
+    "ecos": ("ecospy",),
+    "C host": (),
+}
+METHODS = ("1, as the package says", "2, the FMU's own")
+
+
+def main() -> int:
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
+        folder = Path(work)
+        plant, observer = build(load_model("flexible_joint"), folder)
+        package = build_ssp(shipped_folder("ssp") / "open_loop", folder, folder)
+        bench = Bench(plant, observer, package, compile_host(folder), folder)
+        cells = {(tool, study): bench.differences(tool, study) for study, tools in RUNS.items() for tool in tools}
+        findings = {
+            f"fmpy {version('FMPy')}, `fmpy validate`": [*validate_fmu(str(plant)), *validate_fmu(str(observer))],
+            f"fmu-manipulation-toolbox {version('fmu-manipulation-toolbox')}, `fmutool -check`": [
+                *toolbox_findings(plant),
+                *toolbox_findings(observer),
+            ],
+        }
+    lines = [f"| Tool | {' | '.join(RUNS)} |", "|---" * (len(RUNS) + 1) + "|"]
+    for tool in VERSIONS:
+        shown = " | ".join(_cell(cells.get((tool, study))) for study in RUNS)
+        lines.append(f"| {' '.join((tool, *map(version, VERSIONS[tool])))} | {shown} |")
+    methods = {tool: METHODS[d.index(min(d))] for (tool, study), d in cells.items() if study == "open_loop.ssp"}
+    lines += ["", *(f"- {tool} runs the observer of open_loop.ssp with `method` {m}" for tool, m in methods.items())]
+    lines += [f"- {checker}, both FMUs: {len(found)} findings" for checker, found in findings.items()]
+    before, _, rest = PAGE.read_text("utf-8").partition(BEGIN)
+    with atomic_path(PAGE) as temporary:
+        temporary.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + rest.partition(END)[2], "utf-8")
+    return int(any(min(found) > TOLERANCE for found in cells.values()) or any(findings.values()))
+
+
+def _cell(found: list[float] | None) -> str:
+    if found is None:
+        return "–"
+    least = min(found)
+    return f"{least:.0e}" if least else "0"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
