@@ -214,7 +214,7 @@ def test_a_system_that_is_neither_a_system_nor_a_known_file_is_refused():
 def test_the_coupling_knows_nothing_of_models_and_observers_so_that_it_runs_any_fmu():
     imported = {
         name
-        for file in (Path(ndob_fmu.__file__).parent / "cosim").glob("*.py")
+        for file in (Path(ndob_fmu.__file__).parent / "cosim").rglob("*.py")
         for node in ast.walk(ast.parse(file.read_text()))
         for name in (
             [node.module]
@@ -226,4 +226,4 @@ def test_the_coupling_knows_nothing_of_models_and_observers_so_that_it_runs_any_
         if name.startswith("ndob_fmu")
     }
     outside = {name for name in imported if not name.startswith("ndob_fmu.cosim")}
-    assert outside == {"ndob_fmu.errors", "ndob_fmu.results"}
+    assert outside <= {"ndob_fmu.checklist", "ndob_fmu.errors", "ndob_fmu.results", "ndob_fmu.units"}

@@ -9,6 +9,8 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu.units import BaseUnit
+
 Value: TypeAlias = float | int | bool | str
 Array: TypeAlias = NDArray[np.float64]
 
@@ -18,7 +20,8 @@ class Variable:
     """One scalar of a component, in FMI's words.
 
     causality: ``input``, ``output``, ``parameter``, ``calculatedParameter``, ``local`` or ``independent``.
-    type: ``Real``, ``Integer``, ``Enumeration``, ``Boolean`` or ``String``. unit: None where none is declared.
+    type: ``Real``, ``Integer``, ``Enumeration``, ``Boolean`` or ``String``. unit: None where none is declared;
+    base_unit: what it means, None where that is not declared. items: (name, value) of an Enumeration's.
     start: the value the component itself starts with, None if it declares none. settable: takes a start value.
     variability: only between ``continuous`` Reals is there anything to extrapolate. dependencies: of an output, the
     inputs that show in it at once when they change at a communication point; initial_dependencies: the same during
@@ -34,6 +37,8 @@ class Variable:
     variability: str = "continuous"
     dependencies: tuple[str, ...] | None = None
     initial_dependencies: tuple[str, ...] | None = None
+    base_unit: BaseUnit | None = None
+    items: tuple[tuple[str, int], ...] = ()
 
 
 class Component(Protocol):

@@ -14,6 +14,7 @@ from ndob_fmu.cosim.component import Variable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError
+from ndob_fmu.units import BASE_UNITS, BaseUnit
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,11 @@ def _variables(model: Any, path: Path) -> tuple[Variable, ...]:
     shown, shown_initially = (
         {u.variable.name: u for u in unknowns} for unknowns in (model.outputs, model.initialUnknowns)
     )
+    units = {unit.name: _base_unit(unit.baseUnit) for unit in model.unitDefinitions}
     found = []
     for entry in model.modelVariables:
         variable = _variable(entry, path)
+        variable = replace(variable, base_unit=units.get(variable.unit))
         if entry.causality == "output":
             # FMI 2.0, section 2.2.8: an output that keeps its start value during initialization is not listed there.
             exact = entry.initial == "exact" and entry.name not in shown_initially
@@ -96,9 +99,21 @@ def _variable(entry: Any, path: Path) -> Variable:
         entry.variability != "constant" and (entry.causality == "input" or entry.initial in ("exact", "approx")),
         entry.variability or "continuous",
     )
+    if entry.type == "Enumeration" and entry.declaredType:
+        variable = replace(variable, items=tuple((item.name, int(item.value)) for item in entry.declaredType.items))
     if entry.start is None:
         return variable
     return replace(variable, start=convert(variable, entry.start, f"{path}, start value of {entry.name}"))
+
+
+def _base_unit(entry: Any) -> BaseUnit | None:
+    if entry is None:
+        return None
+    return BaseUnit(
+        tuple(int(getattr(entry, name) or 0) for name in BASE_UNITS),
+        1.0 if entry.factor is None else float(entry.factor),
+        0.0 if entry.offset is None else float(entry.offset),
+    )
 
 
 def _experiment(entry: Any) -> Experiment:

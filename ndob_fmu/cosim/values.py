@@ -20,10 +20,14 @@ def convert(variable: Variable, value: Any, where: str) -> Value:
             return _TRUTH[text.lower()] if isinstance(value, str) else _TRUTH[str(int(value))]
         if variable.type == "String":
             return str(value)
+        if text in dict(variable.items):
+            return dict(variable.items)[text]
         number = float(value)
         if number.is_integer():
             return int(number)
     except (KeyError, TypeError, ValueError, OverflowError):
         pass
     wanted = {"Real": "a number", "Boolean": "true, false, 1 or 0"}.get(variable.type, "a whole number")
+    if variable.items:
+        wanted = f"one of {', '.join(f'{name} = {number}' for name, number in variable.items)}"
     raise UsageError.report(where, expected=f"{wanted} ({variable.type})", received=repr(text))

@@ -6,30 +6,16 @@ validation, and importers see algebraic loops that are not there.
 
 from __future__ import annotations
 
-import functools
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
 
-import pint
-
 import ndob_fmu
-from ndob_fmu.errors import ModelError
 from ndob_fmu.runtime.disturbance import KINDS
 from ndob_fmu.runtime.disturbance_source import INTERPOLATIONS, SOURCE_KINDS
 from ndob_fmu.runtime.encoder import MISSING
 from ndob_fmu.runtime.interface import METHODS, Variable
-
-_BASE_UNITS = {
-    "kilogram": "kg",
-    "meter": "m",
-    "second": "s",
-    "ampere": "A",
-    "kelvin": "K",
-    "mole": "mol",
-    "candela": "cd",
-    "radian": "rad",
-}
+from ndob_fmu.units import base_unit
 
 # What an importer can count on, beside what pythonfmu says. A tool that needs an execution tool would be a link to one
 # that has the model; here the model is inside, and Python is among the external dependencies.
@@ -160,42 +146,10 @@ def _unit_definitions(variables: Iterable[Variable]) -> ET.Element:
     definitions = ET.Element("UnitDefinitions")
     for name in sorted({variable.unit for variable in variables if variable.unit}):
         unit = ET.SubElement(definitions, "Unit", {"name": name})
-        base = _base_unit(name)
+        base = base_unit(name)
         if base is not None:
-            ET.SubElement(unit, "BaseUnit", base)
+            ET.SubElement(unit, "BaseUnit", base.attributes())
     return definitions
-
-
-@functools.cache
-def _registry() -> pint.UnitRegistry[float]:
-    registry: pint.UnitRegistry[float] = pint.UnitRegistry()  # a third of a second each
-    registry.define("@alias ohm = Ohm")
-    return registry
-
-
-def _base_unit(name: str) -> dict[str, str] | None:
-    """Return the attributes of FMI's BaseUnit; None for a broken power like cm2.5, for which FMI has no form."""
-    # As in Modelica a dot multiplies and a power follows its unit at once: kg.m2/s2.
-    formula = re.sub(r"(?<=[A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"**(\1)", name)
-    formula = re.sub(r"\.(?!\d)", "*", formula)
-    try:
-        one, zero = (_registry().Quantity(value, formula).to_base_units() for value in (1.0, 0.0))
-        powers = {_BASE_UNITS[base]: complex(power).real for base, power in one.unit_items()}
-    except Exception as error:  # for a text that is no formula pint raises more than its own errors
-        raise ModelError.report(
-            f"unit {name!r}",
-            expected="a unit of physics, like N.m, rad/s or kg.m2",
-            received=f"{name!r} ({' '.join(str(error).split())})",
-        ) from error
-    if not all(power.is_integer() for power in powers.values()):
-        return None
-    attributes = {base: str(int(power)) for base, power in powers.items()}
-    factor, offset = float(one.magnitude - zero.magnitude), float(zero.magnitude)
-    if factor != 1.0:
-        attributes["factor"] = repr(factor)
-    if offset != 0.0:
-        attributes["offset"] = repr(offset)
-    return attributes
 
 
 def _type_definitions(type_names: Mapping[str, str]) -> ET.Element:

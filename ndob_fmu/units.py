@@ -1,0 +1,85 @@
+"""Units as FMI and SSP define them: powers of the base units of the SI and of the radian, a factor and an offset."""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ndob_fmu.errors import ModelError
+
+if TYPE_CHECKING:
+    import pint
+
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_NAMES = {
+    "kilogram": "kg",
+    "meter": "m",
+    "second": "s",
+    "ampere": "A",
+    "kelvin": "K",
+    "mole": "mol",
+    "candela": "cd",
+    "radian": "rad",
+}
+
+
+@dataclass(frozen=True)
+class BaseUnit:
+    """What a unit means: a value v of it is factor · v + offset in the base units.
+
+    powers: (8,), the exponents of ``BASE_UNITS``.
+    """
+
+    powers: tuple[int, ...]
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def attributes(self) -> dict[str, str]:
+        """Return the attributes of the element BaseUnit in FMI and SSP, without those that have their default."""
+        found = {base: str(power) for base, power in zip(BASE_UNITS, self.powers, strict=True) if power}
+        if self.factor != 1.0:
+            found["factor"] = repr(self.factor)
+        if self.offset != 0.0:
+            found["offset"] = repr(self.offset)
+        return found
+
+
+def base_unit(name: str) -> BaseUnit | None:
+    """Return what a unit in Modelica's notation means; None for a broken power like cm2.5, for which FMI has no form.
+
+    Raises ModelError for a text that is no unit.
+    """
+    # As in Modelica a dot multiplies and a power follows its unit at once: kg.m2/s2.
+    formula = re.sub(r"(?<=[A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"**(\1)", name)
+    formula = re.sub(r"\.(?!\d)", "*", formula)
+    try:
+        one, zero = (_registry().Quantity(value, formula).to_base_units() for value in (1.0, 0.0))
+        powers = {_NAMES[base]: complex(power).real for base, power in one.unit_items()}
+    except Exception as error:  # for a text that is no formula pint raises more than its own errors
+        raise ModelError.report(
+            f"unit {name!r}",
+            expected="a unit of physics, like N.m, rad/s or kg.m2",
+            received=f"{name!r} ({' '.join(str(error).split())})",
+        ) from error
+    if not all(power.is_integer() for power in powers.values()):
+        return None
+    factor, offset = float(one.magnitude - zero.magnitude), float(zero.magnitude)
+    return BaseUnit(tuple(int(powers.get(base, 0)) for base in BASE_UNITS), factor, offset)
+
+
+@functools.cache
+def _registry() -> pint.UnitRegistry[float]:
+    import pint  # slow to load: only for units that nobody defines
+
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry()  # a third of a second each
+    registry.define("@alias ohm = Ohm")
+    return registry
+
+
+def conversion(source: BaseUnit, target: BaseUnit) -> tuple[float, float] | None:
+    """Return (factor, offset) that turn a value of ``source`` into one of ``target``; None if none can."""
+    if source.powers != target.powers:
+        return None
+    return source.factor / target.factor, (source.offset - target.offset) / target.factor
