@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ndob_fmu.errors import ModelError
 
@@ -83,3 +83,25 @@ def conversion(source: BaseUnit, target: BaseUnit) -> tuple[float, float] | None
     if source.powers != target.powers:
         return None
     return source.factor / target.factor, (source.offset - target.offset) / target.factor
+
+
+class Unit(NamedTuple):
+    """A unit by its name and, where somebody has defined it, its meaning; both None for a signal without unit."""
+
+    name: str | None = None
+    meaning: BaseUnit | None = None
+
+    def to(self, other: Unit) -> tuple[float, float] | None:
+        """Return (factor, offset) that turn a value in this unit into one in ``other``; None if none can.
+
+        A signal without unit is taken as it is. A name without a definition has the meaning that it has in Modelica.
+        """
+        if not self.name or not other.name:
+            return 1.0, 0.0
+        if self.name == other.name and (self.meaning is None or other.meaning is None):
+            return 1.0, 0.0
+        try:
+            source, target = (unit.meaning or base_unit(unit.name or "") for unit in (self, other))
+        except ModelError:
+            return None
+        return None if source is None or target is None else conversion(source, target)

@@ -12,6 +12,7 @@ from mock_components import Mock, constant, gain, integrator
 import ndob_fmu
 from ndob_fmu.cosim import System, Variable, simulate
 from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.units import BaseUnit
 
 PLANT = [Variable("motor_torque", "input", unit="N.m"), Variable("load_torque", "input", unit="N.m")]
 ANGLES = [Variable(name, "output", unit="rad", settable=False) for name in ("motor_angle", "link_angle")]
@@ -78,7 +79,7 @@ def test_a_well_wired_system_runs():
         (("plant.mass", "observer.motor_angle"), ["an output as the source plant.mass", "received parameter"]),
         (("plant.motor_angle", "observer.a_hat"), ["an input as the target observer.a_hat", "received output"]),
         (("plant.motor_angle", "observer.count"), ["the type Integer of observer.count", "received Real"]),
-        (("plant.motor_angle", "observer.angle_deg"), ["the unit deg of observer.angle_deg", "received rad"]),
+        (("plant.motor_angle", "plant.motor_torque"), ["the unit N.m of plant.motor_torque", "received rad"]),
         (("plant.note", "observer.name"), ["a numeric or Boolean signal", "String"]),
     ],
 )
@@ -91,6 +92,64 @@ def test_a_connection_that_cannot_be_is_refused_and_the_nearest_name_suggested(c
 
 def test_a_unit_declared_on_one_side_only_is_no_mismatch():
     assert couple(("plant.motor_angle", "observer.free")).connections
+
+
+def test_a_signal_is_converted_to_its_targets_unit_and_then_scaled():
+    system = System().add("plant", plant()).add("observer", observer())
+    system = system.connect("plant.motor_angle", "observer.angle_deg", factor=2.0, offset=1.0)
+    assert system.connections[0].factor == pytest.approx(2 * 180 / np.pi, rel=1e-14)
+    assert system.connections[0].offset == 1.0
+    again = System(system.components, system.connections)  # what was converted is not converted twice
+    assert again.connections == system.connections
+
+
+def test_units_with_an_offset_are_converted_as_the_components_define_them():
+    celsius, kelvin = BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15), BaseUnit((0, 0, 0, 0, 1, 0, 0, 0))
+    sensor = constant(25.0)
+    sensor.variables = (Variable("y", "output", unit="C", base_unit=celsius, settable=False),)
+    stove = Mock([Variable("u", "input", unit="T", base_unit=kelvin)], ["y"], output=lambda x, u: [u["u"]])
+    system = System().add("sensor", sensor).add("stove", stove).connect("sensor.y", "stove.u")
+    np.testing.assert_allclose(simulate(system, stop_time=2.0, step_size=1.0)["stove.y"], 298.15)
+
+
+def test_systems_grow_step_by_step_and_are_values():
+    one = System().add("a", integrator(), {"u": 1.0})
+    two = one.add("b", integrator(), step_ratio=2).connect("a.y", "b.u")
+    assert list(one.components) == ["a"]
+    assert two.step_ratios == {"b": 2}
+    by_hand = System({"a": integrator(), "b": integrator()}, ((("a", "y"), ("b", "u")),), {("a", "u"): 1.0}, {"b": 2})
+    run = {"stop_time": 4.0, "step_size": 1.0}
+    np.testing.assert_array_equal(simulate(two, **run).columns, simulate(by_hand, **run).columns)
+    with pytest.raises(CouplingError, match="component a: expected a new name"):
+        two.add("a", integrator())
+
+
+def test_a_name_at_the_boundary_sets_all_inputs_behind_it_and_records_an_output(tmp_path):
+    system = System().add("a", integrator()).add("b", integrator()).expose("u", "a.u", "b.u").expose("y", "b.y")
+    run = {"stop_time": 2.0, "step_size": 1.0}
+    with pytest.raises(CouplingError, match=r"a\.u \(behind u\), b\.u \(behind u\): expected a connection"):
+        simulate(system, **run)
+    held = simulate(system, start_values={"u": 3.0}, **run)
+    assert held.names == ("a.y", "b.y", "y")
+    np.testing.assert_array_equal(held["y"], [0.0, 3.0, 6.0])
+    (tmp_path / "u.csv").write_text('"time","u"\n0,1\n1,5\n')
+    np.testing.assert_array_equal(simulate(system, input_file=tmp_path / "u.csv", **run)["a.y"], [0.0, 1.0, 6.0])
+
+
+@pytest.mark.parametrize(
+    ("build", "parts"),
+    [
+        (lambda s: s.expose("u", "b.u"), ["input b.u", "exactly one driver", "a.y and the input u"]),
+        (lambda s: s.expose("u", "a.u").expose("v", "a.u"), ["input a.u", "the input u and the input v"]),
+        (lambda s: s.expose("y", "a.y", "b.y"), ["input y", "variables that can be set", "a.y of causality output"]),
+        (lambda s: System(s.components, outputs={"y": (("a", "u"),)}), ["output y", "a.u of causality input"]),
+    ],
+)
+def test_a_boundary_that_cannot_be_is_refused(build, parts):
+    system = System().add("a", integrator()).add("b", integrator()).connect("a.y", "b.u")
+    with pytest.raises(CouplingError) as refused:
+        build(system)
+    assert all(text in str(refused.value) for text in parts), str(refused.value)
 
 
 @pytest.mark.parametrize(

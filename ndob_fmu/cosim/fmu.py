@@ -8,9 +8,11 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from ctypes import byref
 from pathlib import Path
 from typing import Any
 
+import fmpy
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 
@@ -130,7 +132,7 @@ class FmuComponent:
                 self._folder = None
 
     def _load(self, folder: Path) -> Any:
-        here = Path.cwd()
+        location, here = self._location(folder), Path.cwd()
         try:
             fmu = fmi2.FMU2Slave(
                 instanceName=self.name,
@@ -144,13 +146,33 @@ class FmuComponent:
             ) from error
         finally:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
+        name, guid, uri = (text.encode() for text in (self.name, self._description.guid, location))
+        reason = "none"
         try:
-            fmu.instantiate(callbacks=self._log.callbacks, loggingOn=True)
-        except Exception as error:
+            fmu.component = fmu.fmi2Instantiate(
+                name, fmi2.fmi2CoSimulation, guid, uri, byref(self._log.callbacks), False, True
+            )
+        except Exception as error:  # ctypes OSError on Windows, for what elsewhere ends the process
+            reason = str(error)
+        if fmu.component is None:
             with suppress(Exception):
                 fmu.freeLibrary()
-            raise self._refusal("an instance", str(error)) from error
+            raise self._refusal("an instance", reason)
         return fmu
+
+    def _location(self, folder: Path) -> str:
+        """Return the URI of the FMU's resources in the form that its binary reads.
+
+        pythonfmu's binary decodes no percent code but that of a space, and crashes where a path has another; not so
+        behind the front of our FMUs, where it lies under a name of its own.
+        """
+        resources = folder / "resources"
+        fronted = any((folder / "binaries" / fmpy.platform).glob("pythonfmu-export.*"))
+        if fronted or not (resources / "slavemodule.txt").exists():
+            return resources.as_uri()
+        if "%20" in str(folder):
+            raise self._refusal("a folder for temporary files without %20 in its name", str(folder.parent))
+        return f"file:///{resources.as_posix().lstrip('/')}"
 
     def _buffers(self, names: Sequence[str]) -> list[Buffer]:
         return buffers(names, self._types, self._description.references)

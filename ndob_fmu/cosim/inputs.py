@@ -10,7 +10,7 @@ import numpy as np
 
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Array
-from ndob_fmu.cosim.system import Port, System
+from ndob_fmu.cosim.system import Link, Port, System
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.results import read_csv
 
@@ -51,7 +51,7 @@ NO_INPUTS = InputTable((), np.array([-np.inf]), np.zeros((1, 0)))
 
 
 def read_inputs(path: str | Path, system: System) -> InputTable:
-    """Read a CSV file in fmpy's form whose columns are named ``component.variable``.
+    """Read a CSV file in fmpy's form whose columns are named ``component.variable``, or as an input at the boundary.
 
     Raises UsageError if the file cannot be used, CouplingError if a column is not an input of the system or holds
     what the input's type cannot take. NaN is passed on: a lost sample is a legitimate input.
@@ -59,10 +59,14 @@ def read_inputs(path: str | Path, system: System) -> InputTable:
     table = read_csv(path)
     if not np.isfinite(table.time).all() or (np.diff(table.time) < 0).any():
         raise UsageError.report(str(path), expected="finite times that do not decrease", received="a time that does")
-    ports = tuple(system.port(name) for name in table.names)
-    for port, values in zip(ports, table.columns.T, strict=True):
+    columns = [
+        (name, link, values * link.factor + link.offset)
+        for name, values in zip(table.names, table.columns.T, strict=True)
+        for link in system.inputs.get(name) or (Link(system.port(name)),)
+    ]
+    for name, (port, *_), values in columns:
         variable = system.variable(port)
-        where = f"{path}, column {port}"
+        where = f"{path}, column {name}"
         if variable.causality != "input" or variable.type == "String":
             received = f"{variable.causality} of type {variable.type}"
             raise CouplingError.report(where, expected="a numeric or Boolean input", received=received)
@@ -71,4 +75,5 @@ def read_inputs(path: str | Path, system: System) -> InputTable:
             wanted = "0 or 1" if variable.type == "Boolean" else "whole numbers"
             received = repr(float(values[~allowed][0]))
             raise CouplingError.report(where, expected=f"{wanted} ({variable.type})", received=received)
-    return InputTable(ports, table.time, table.columns)
+    signals = np.column_stack([values for *_, values in columns]) if columns else table.columns
+    return InputTable(tuple(link.port for _, link, _ in columns), table.time, signals)

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from ndob_fmu.cosim import master
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Value
@@ -60,13 +62,29 @@ def simulate(
             _time("step size", step_size, experiment.step_size),
             output_interval,
         )
-        starts = {opened.port(name): value for name, value in (start_values or {}).items()}
+        starts: dict[Port, Value] = {}
+        for name, value in (start_values or {}).items():
+            starts |= opened.starts(name, value)
         table = NO_INPUTS if input_file is None else read_inputs(input_file, opened)
         if order is not None and scheme != "gauss-seidel":
             raise UsageError.report("order", expected="the scheme gauss-seidel", received=repr(scheme))
         wiring = wire(opened, table, starts, order)
         _warn_of_delays(opened)
-        return master.run(wiring, clock, scheme=scheme, progress=progress)
+        return _with_outputs(opened, master.run(wiring, clock, scheme=scheme, progress=progress))
+
+
+def _with_outputs(system: System, recording: Recording) -> Recording:
+    """Return the recording with the outputs at the system's boundary, after those of the components."""
+    if not system.outputs:
+        return recording
+    types = dict(zip(recording.names, recording.types, strict=True))
+    links = system.outputs.values()
+    return Recording(
+        recording.time,
+        (*recording.names, *system.outputs),
+        np.column_stack([recording.columns, *(recording[str(p)] * factor + offset for p, factor, offset in links)]),
+        (*recording.types, *(types[str(link.port)] for link in links)),
+    )
 
 
 def _warn_of_delays(system: System) -> None:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral
+from pathlib import Path
 from typing import NamedTuple
 
 from ndob_fmu.cosim.component import Component, Value, Variable
+from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
+from ndob_fmu.units import Unit
 
 
 class Port(NamedTuple):
@@ -25,15 +28,30 @@ class Port(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """The output ``source`` drives the input ``target``, which receives factor · source + offset."""
+    """The output ``source`` drives the input ``target``, which receives factor · source + offset.
+
+    convert_units: with the source converted to the target's unit before; a System does so and puts it into factor and
+    offset.
+    """
 
     source: Port
     target: Port
     factor: float = 1.0
     offset: float = 0.0
+    convert_units: bool = True
 
     def __str__(self) -> str:
         return f"{self.source} → {self.target}"
+
+
+class Link(NamedTuple):
+    """A port behind a name at the system's boundary, where it has factor · value + offset: set by an input, shown by an
+    output.
+    """
+
+    port: Port
+    factor: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,31 +60,90 @@ class System:
 
     connections: (source, target), each (component, variable), or (source, target, factor, offset). start_values:
     (component, variable) → value. step_ratios: component → k for those that step over k communication steps at a time.
-    Raises CouplingError for an unknown component or variable, a wrong causality, type or unit, a factor or offset of
-    what is no Real, and an input with two drivers; UsageError for a start value that its variable cannot take, a factor
-    or offset that is not finite, and a ratio that is not a whole number from 1 on.
+    inputs: names at the system's boundary → the inputs and parameters that a start value or a column of the input file
+    of that name sets; outputs: further names that outputs are recorded under.
+
+    ``add``, ``connect`` and ``expose`` return a new system with one thing more, ``write`` makes a package of it:
+
+        System().add("plant", "Plant.fmu").add("observer", "Observer.fmu").connect("plant.y", "observer.y")
+
+    Raises CouplingError for an unknown component or variable, a wrong causality or type, units that no factor converts,
+    a factor or offset of what is no Real, and an input with two drivers; UsageError for a start value that its variable
+    cannot take, a factor or offset that is not finite, and a ratio that is not a whole number from 1 on.
     """
 
-    components: Mapping[str, Component]
+    components: Mapping[str, Component] = field(default_factory=dict)
     connections: tuple[Connection, ...] = ()
     start_values: Mapping[Port, Value] = field(default_factory=dict)
     step_ratios: Mapping[str, int] = field(default_factory=dict)
+    inputs: Mapping[str, tuple[Link, ...]] = field(default_factory=dict)
+    outputs: Mapping[str, Link] = field(default_factory=dict)
     _variables: dict[str, dict[str, Variable]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "components", dict(self.components))
         tables = {name: {v.name: v for v in component.variables} for name, component in self.components.items()}
         object.__setattr__(self, "_variables", tables)
-        connections = tuple(
-            Connection(Port(*source), Port(*target), *map(float, scaling))
-            for source, target, *scaling in self.connections
-        )
-        object.__setattr__(self, "connections", connections)
-        self._check_connections()
+        object.__setattr__(self, "connections", tuple(self._connection(*parts) for parts in self.connections))
+        self._check_drivers()
         starts = {Port(*port): value for port, value in self.start_values.items()}
         object.__setattr__(self, "start_values", {port: self._start(port, value) for port, value in starts.items()})
         ratios = {name: self._ratio(name, ratio) for name, ratio in self.step_ratios.items()}
         object.__setattr__(self, "step_ratios", ratios)
+        object.__setattr__(self, "inputs", {name: self._input(name, links) for name, links in self.inputs.items()})
+        object.__setattr__(self, "outputs", {name: self._output(name, link) for name, link in self.outputs.items()})
+
+    def add(
+        self,
+        name: str,
+        component: Component | str | Path,
+        parameters: Mapping[str, Value] | None = None,
+        *,
+        step_ratio: int = 1,
+    ) -> System:
+        """Return the system with one component more, given as such or by the path of its FMU.
+
+        parameters: start values of its parameters and of the inputs that nothing will drive. step_ratio: its step in
+        communication steps. Raises CouplingError if there is a component of that name already.
+        """
+        if name in self.components:
+            raise CouplingError.report(f"component {name}", expected="a new name", received="one that is taken")
+        if isinstance(component, str | Path):
+            component = FmuComponent(component, name)
+        return replace(
+            self,
+            components={**self.components, name: component},
+            start_values={**self.start_values, **{Port(name, key): value for key, value in (parameters or {}).items()}},
+            step_ratios=self.step_ratios if step_ratio == 1 else {**self.step_ratios, name: step_ratio},
+        )
+
+    def connect(self, source: str, target: str, *, factor: float = 1.0, offset: float = 0.0) -> System:
+        """Return the system with one connection more, between ports named ``component.variable``.
+
+        The target receives factor · source + offset, with the source converted to the target's unit before.
+        """
+        connection = Connection(self.port(source), self.port(target), factor, offset)
+        return replace(self, connections=(*self.connections, connection))
+
+    def expose(self, name: str, *ports: str) -> System:
+        """Return the system with a name at its boundary for one output, or for inputs and parameters set together."""
+        found = [self.port(port) for port in ports]
+        if len(found) == 1 and self.variable(found[0]).causality == "output":
+            return replace(self, outputs={**self.outputs, name: Link(found[0])})
+        return replace(self, inputs={**self.inputs, name: tuple(Link(port) for port in found)})
+
+    def starts(self, name: str, value: Value) -> dict[Port, Value]:
+        """Return what a value of ``component.variable``, or of an input at the boundary, is at each port behind it.
+
+        Raises CouplingError for an unknown name, UsageError for a value that a variable cannot take.
+        """
+        if name not in self.inputs:
+            return {self.port(name): value}
+        found = {}
+        for port, factor, offset in self.inputs[name]:
+            own = convert(self.variable(port), value, name)
+            found[port] = factor * float(own) + offset if (factor, offset) != (1.0, 0.0) else own
+        return found
 
     def component(self, name: str) -> Component:
         """Return the component called ``name``; raise CouplingError, naming the nearest one, if there is none."""
@@ -105,21 +182,67 @@ class System:
             )
         return found
 
-    def _check_connections(self) -> None:
-        drivers: dict[Port, Port] = {}
-        for connection in self.connections:
-            source, target = self.variable(connection.source), self.variable(connection.target)
-            _require(connection, f"an output as the source {connection.source}", source.causality, "output")
-            _require(connection, f"an input as the target {connection.target}", target.causality, "input")
-            _require(connection, f"the type {target.type} of {connection.target}", source.type, target.type)
-            if source.unit and target.unit:
-                _require(connection, f"the unit {target.unit} of {connection.target}", source.unit, target.unit)
-            if source.type == "String":
-                raise CouplingError.report(str(connection), expected="a numeric or Boolean signal", received="a String")
-            _require_scaling(connection, source.type)
-            if connection.target in drivers:
-                raise _driven_twice(connection.target, f"{drivers[connection.target]} and {connection.source}")
-            drivers[connection.target] = connection.source
+    def _connection(
+        self, start: Port, end: Port, factor: float = 1.0, offset: float = 0.0, convert_units: bool = True
+    ) -> Connection:
+        connection = Connection(Port(*start), Port(*end), float(factor), float(offset), convert_units)
+        source, target = self.variable(connection.source), self.variable(connection.target)
+        _require(connection, f"an output as the source {connection.source}", source.causality, "output")
+        _require(connection, f"an input as the target {connection.target}", target.causality, "input")
+        _require(connection, f"the type {target.type} of {connection.target}", source.type, target.type)
+        if source.type == "String":
+            raise CouplingError.report(str(connection), expected="a numeric or Boolean signal", received="a String")
+        _require_scaling(connection, source.type)
+        if not convert_units:
+            return connection
+        scaling = Unit(source.unit, source.base_unit).to(Unit(target.unit, target.base_unit))
+        if scaling is None:
+            raise CouplingError.report(
+                f"connection {connection}",
+                expected=f"the unit {target.unit} of {connection.target}, or one that converts to it",
+                received=str(source.unit),
+            )
+        if scaling == (1.0, 0.0):
+            return connection
+        return connection._replace(
+            factor=connection.factor * scaling[0],
+            offset=connection.factor * scaling[1] + connection.offset,
+            convert_units=False,
+        )
+
+    def _check_drivers(self) -> None:
+        drivers: dict[Port, str] = {}
+        driven = [(c.target, str(c.source)) for c in self.connections]
+        driven += [(Port(*link[0]), f"the input {name}") for name, links in self.inputs.items() for link in links]
+        for target, driver in driven:
+            if target in drivers:
+                raise _driven_twice(target, f"{drivers[target]} and {driver}")
+            drivers[target] = driver
+
+    def _input(self, name: str, links: Iterable[Link]) -> tuple[Link, ...]:
+        found = tuple(self._link(name, *link) for link in links)
+        for link in found:
+            variable = self.variable(link.port)
+            if not variable.settable:
+                received = f"{link.port} of causality {variable.causality}"
+                raise CouplingError.report(f"input {name}", expected="variables that can be set", received=received)
+        return found
+
+    def _output(self, name: str, link: Link) -> Link:
+        found = self._link(name, *link)
+        variable = self.variable(found.port)
+        if variable.causality != "output" or variable.type == "String":
+            received = f"{found.port} of causality {variable.causality} and type {variable.type}"
+            raise CouplingError.report(f"output {name}", expected="a numeric or Boolean output", received=received)
+        return found
+
+    def _link(self, name: str, port: Port, factor: float = 1.0, offset: float = 0.0) -> Link:
+        link = Link(Port(*port), float(factor), float(offset))
+        kind = self.variable(link.port).type
+        if kind != "Real" and link[1:] != (1.0, 0.0):
+            expected = f"no factor and no offset for {link.port} of type {kind}"
+            raise CouplingError.report(name, expected=expected, received=f"{factor!r} and {offset!r}")
+        return link
 
     def _ratio(self, name: str, ratio: int) -> int:
         self.component(name)

@@ -102,7 +102,10 @@ def _require_drivers(system: System, driven: set[Port]) -> None:
     inputs = [
         Port(n, v.name) for n, part in system.components.items() for v in part.variables if v.causality == "input"
     ]
-    missing = [str(port) for port in inputs if port not in driven]
+    named = {link.port: name for name, links in system.inputs.items() for link in links}
+    missing = [
+        f"{port} (behind {named[port]})" if port in named else str(port) for port in inputs if port not in driven
+    ]
     if missing:
         raise CouplingError.report(
             f"input{'s' * (len(missing) > 1)} {', '.join(missing)}",
