@@ -57,6 +57,31 @@ def test_a_step_that_cannot_be_is_discarded_and_the_right_one_taken(host, t, ste
     assert host.doStep(H * (1.0 + 1e-9), H) == OK  # a host's rounding error
 
 
+@pytest.mark.parametrize(("start", "stop"), [(nan, None), (inf, None), (1.0, 0.5), (0.0, nan)])
+def test_an_experiment_of_impossible_times_is_refused_and_one_of_possible_times_taken(host, start, stop):
+    assert host.setupExperiment(startTime=start, stopTime=stop) == host.refusal
+    (message,) = host.said
+    assert "expected a finite start time and a later stop time" in message
+    host.begin(start_time=1.0, stop_time=2.0)
+    host.step(1.0, H, motor_angle=1.0, link_angle=1.0)
+    assert len(host.said) == 1
+
+
+@pytest.mark.parametrize("spoil", [lambda b: b[:-1], lambda b: b"", lambda b: b"x" + b[1:]])
+def test_bytes_that_are_no_state_change_nothing(host, spoil):
+    """Without a front the bytes are read by a class that cannot log: the refusal comes where they are used."""
+    host.begin()
+    before = host.step(0.0, H, motor_angle=0.3, link_angle=0.1)
+    status, state = host.from_bytes(spoil(host.bytes_of(host.state())))
+    assert status == host.refusal
+    if not host.refusal:
+        assert host.bytes_of(state) == b""
+        assert host.setFMUState(state) == OK
+    assert len(host.said) == 1
+    assert host.get() == before
+    assert host.doStep(H, H) == OK
+
+
 def test_a_step_past_the_stop_time_is_refused(host):
     host.begin(stop_time=2.0 * H)
     assert host.doStep(0.0, H) == OK
