@@ -47,12 +47,10 @@ def bundle(
     modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
-        # pythonfmu's binary runs this once more for every instance, and each time gives up a reference to the globals
-        # that it never had. Without one for each they are freed, and the next run or Python's end crashes the host.
-        f"from ctypes import py_object, pythonapi\n\n"
+        # pythonfmu's binary runs this once more for every instance.
         f'if "{class_name}" in globals():\n'
         f'    {class_name} = globals()["{class_name}"]\n'
-        f"    pythonapi.Py_IncRef(py_object(globals()))\n"
+        f"    slave_entry.add_reference(globals())\n"
         f"else:\n"
         # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
         # by the time another FMU of the process asks for the rest.
