@@ -136,8 +136,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             step_size = self._step_size
         before = self.state
         try:
-            # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"):  # as in _refresh
                 self._publish(self.advance(current_time, step_size))
         except FAILURES as error:
             self.state = before
@@ -271,7 +270,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._values = list(self._values)
         for vr, value in zip(self._parameter_references, parameters, strict=True):
             self._values[vr] = value
-        self.start(start_time)
+        with np.errstate(all="ignore"):
+            self.start(start_time)
 
     def _references(self, causality: str) -> list[int]:
         return [index for index, variable in enumerate(self._variables) if variable.causality == causality]
@@ -334,11 +334,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             if self._refused:
                 self.log(next(iter(self._refused.values())), Fmi2Status.error)
                 return False
-            if parameters != self._started_with:
-                self._started_with = None
-                self.start(self._start_time)
-                self._started_with = parameters
+            # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
             with np.errstate(all="ignore"):
+                if parameters != self._started_with:
+                    self._started_with = None
+                    self.start(self._start_time)
+                    self._started_with = parameters
                 self._publish(self.show())
         except FAILURES as error:
             self._say(failure("start", error))
