@@ -27,6 +27,7 @@ from pythonfmu import (
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_guards import FAILURES, experiment_fault, failure, parameter_fault, step_fault, stop_fault
+from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Snapshot, from_bytes, to_bytes
 from ndob_fmu.runtime.equations import Experiment
 from ndob_fmu.runtime.errors import NdobError
@@ -53,7 +54,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             start_time=0.0, stop_time=experiment.stop_time, step_size=experiment.step_size
         )
         self.description = description
-        self._variables = variables
+        self._variables = variables = with_start_values(variables, self.resources)
         self._value_reference = {variable.name: index for index, variable in enumerate(variables)}
         self._values: list[Any] = [0.0 if v.start is None else v.start for v in variables]
         self._of_type = {
@@ -64,7 +65,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._output_references = self._references("output")
         self._parameter_references = self._references("parameter")
         self._read: dict[str, list[int]] = {}
-        self._refused: dict[int, str] = {}
+        self._refused = {
+            vr: str(fault)
+            for vr in self._parameter_references
+            if (fault := parameter_fault(variables[vr], self._values[vr]))
+        }
         self._started_with: tuple[Any, ...] | None = None
         self._initializing = False
         self._stale = False

@@ -15,6 +15,7 @@ from ndob_fmu import runtime
 from ndob_fmu.shipped import shipped_folder
 
 _RUNTIME = Path(runtime.__file__).parent
+START_VALUES = "start_values.json"  # fmus/slave_start_values.py reads it
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ def bundle(
         return text.replace("ndob_fmu.runtime", package).replace("from fmus.", f"from {package}.")
 
     files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
+    files[START_VALUES] = "{}\n"
     if arguments:
         files[f"{data}.py"] = renamed(data_text)
     modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
