@@ -321,7 +321,7 @@ def test_the_first_row_of_a_coupled_run_has_the_right_values(flexible_joint):
     ("name", "value", "says"),
     [
         ("pi_end", -1.0, "pi_end: expected a finite number > 0, received -1.0"),
-        ("pi_end", nan, "pi_end: expected a finite number of at least 0, received nan"),
+        ("pi_end", nan, "pi_end: expected a finite number > 0, received nan"),
         ("pi_start", 0.0, "pi_start: expected a finite number > 0, received 0.0"),
         ("pi_ramp_time", -1.0, "pi_ramp_time: expected a finite number of at least 0, received -1.0"),
         ("alpha", -1.0, "alpha: expected a finite number > 0, received -1.0"),
