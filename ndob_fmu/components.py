@@ -1,4 +1,4 @@
-"""Build the components that complete a control loop around a plant and its observer: source, encoder, spring, controller."""
+"""Build what completes a control loop around a plant and its observer: source, encoder, spring and controller."""
 
 from __future__ import annotations
 

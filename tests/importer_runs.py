@@ -50,30 +50,26 @@ class Bench:
     package: Path
     host: Path
     folder: Path
-    _prepared: dict[str, tuple[Study, Path, list[Rows]]] = field(default_factory=dict)
+    _prepared: dict[str, tuple[Study, Path, Rows]] = field(default_factory=dict)
 
     def difference(self, tool: str, name: str) -> float:
-        """Run the study in the tool and return how far it is from the nearest of its references."""
-        return min(self.differences(tool, name))
-
-    def differences(self, tool: str, name: str) -> list[float]:
-        """Return how far it is from each; a package has one for the paper's method and one for the sampled-data one."""
+        """Run the study in the tool and return how far it is from our master."""
         if name not in self._prepared:
             self._prepared[name] = self._prepare(name)
         study, folder, expected = self._prepared[name]
         rows = self._run(tool, name, study, Path(tempfile.mkdtemp(dir=folder)))
-        return [difference(rows, each, PRINTED if tool == "ecos" else 0.0) for each in expected]
+        return difference(rows, expected, PRINTED if tool == "ecos" else 0.0)
 
-    def _prepare(self, name: str) -> tuple[Study, Path, list[Rows]]:
+    def _prepare(self, name: str) -> tuple[Study, Path, Rows]:
         if name == "open_loop.ssp":
             study = shipped(self.package)
-            return study, self.folder, [reference(study, method) for method in (1, 2)]
+            return study, self.folder, reference(study)
         if name == "special folder":
             folder = self.folder / SPECIAL
             folder.mkdir()
             plant = Path(shutil.copy(self.plant, folder))
             study = replace(plant_alone(plant, self.observer), steps=500)
-            return study, folder, [reference(study)]
+            return study, folder, reference(study)
         make = {
             "plant": plant_alone,
             "observer, recorded inputs": observer_alone,
@@ -82,7 +78,7 @@ class Bench:
             "state": partial(observer_alone, steps=200),
         }[name]
         study = make(self.plant, self.observer)
-        return study, self.folder, [reference(study)]
+        return study, self.folder, reference(study)
 
     def _run(self, tool: str, name: str, study: Study, folder: Path) -> Rows:
         if tool == "C host":
