@@ -3,9 +3,8 @@
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.loops import Loop, algebraic_loops
-from ndob_fmu.cosim.package import build_ssp
 from ndob_fmu.cosim.run import simulate
-from ndob_fmu.cosim.ssp import open_ssp
+from ndob_fmu.cosim.ssp import build_ssp, open_ssp
 from ndob_fmu.cosim.system import Connection, Port, System
 from ndob_fmu.results import Recording
 

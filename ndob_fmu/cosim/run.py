@@ -55,7 +55,7 @@ def simulate(
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
     SimulationError for a component that fails. No component and no temporary file outlives the call.
     """
-    with _opened(system) as (opened, experiment):
+    with _opened(system, step_size) as (opened, experiment):
         clock = Clock.over(
             _first(start_time, experiment.start_time, 0.0),
             _time("stop time", stop_time, experiment.stop_time),
@@ -98,11 +98,11 @@ def _warn_of_delays(system: System) -> None:
 
 
 @contextmanager
-def _opened(system: System | str | Path) -> Iterator[tuple[System, Experiment]]:
+def _opened(system: System | str | Path, step_size: float | None) -> Iterator[tuple[System, Experiment]]:
     if isinstance(system, System):
         yield system, Experiment()
     elif Path(system).suffix == ".ssp":
-        with open_ssp(system) as opened:
+        with open_ssp(system, step_size) as opened:
             yield opened
     elif Path(system).suffix == ".fmu":
         fmu = FmuComponent(system)

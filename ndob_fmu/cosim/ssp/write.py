@@ -1,0 +1,316 @@
+"""Writing a System of FMUs as a package, in the form that libcosim, ecos, OMSimulator and fmpy read alike.
+
+That is: every connection from component to component, conversions of units written out as transformations, one
+parameter set per component with bare names, all of one name. Only what the system shows at its boundary goes beyond.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from ndob_fmu.cosim.component import Value, Variable
+from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.ssp.pack import write_package
+from ndob_fmu.cosim.ssp.schema import NAMESPACES, SSD_NAME, Element
+from ndob_fmu.cosim.system import Link, Port, System
+from ndob_fmu.cosim.values import convert
+from ndob_fmu.cosim.wiring import require_drivers
+from ndob_fmu.errors import CouplingError, ModelError, UsageError
+from ndob_fmu.units import BaseUnit, base_unit
+
+_TOOLS = {
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
+}
+_PREFIXES = NAMESPACES | _TOOLS
+_ASIS = (1.0, 0.0)
+
+
+def write_ssp(system: System, path: Path, experiment: Experiment, parameter_set: str, description: str) -> Path:
+    """Write the package; `System.write` documents arguments and errors."""
+    if path.suffix != ".ssp":
+        raise UsageError.report(str(path), expected="the path of an .ssp", received=repr(path.suffix))
+    files = describe(system, path.stem, experiment, parameter_set, description)
+    return write_package(path, files | {source: fmu.read_bytes() for source, fmu in _sources(system).items()})
+
+
+def describe(
+    system: System, name: str, experiment: Experiment, parameter_set: str, description: str
+) -> dict[str, bytes]:
+    """Return the XML files of the package by their names.
+
+    Raises CouplingError for a component that is no FMU, an input without driver, and a name at the boundary whose
+    variables start with values that contradict it; UsageError for step ratios without a step size.
+    """
+    exposed = {link.port for links in system.inputs.values() for link in links}
+    require_drivers(system, {*(c.target for c in system.connections), *system.start_values, *exposed})
+    return _Writer(system, name, parameter_set).files(experiment, description, exposed)
+
+
+def _sources(system: System) -> dict[str, Path]:
+    """Return the FMUs by their names in the package."""
+    found: dict[str, Path] = {}
+    for name, component in system.components.items():
+        if not isinstance(component, FmuComponent):
+            received = type(component).__name__
+            raise CouplingError.report(f"component {name}", expected="an FMU", received=received)
+        path = found.setdefault(_entry(component), component.path)
+        if path != component.path and path.read_bytes() != component.path.read_bytes():
+            expected = "FMUs whose files have different names, or are the same"
+            raise CouplingError.report(f"component {name}", expected=expected, received=f"{path}, {component.path}")
+    return found
+
+
+def _entry(component: FmuComponent) -> str:
+    return f"resources/{component.path.name}"
+
+
+class _Writer:
+    """One description on its way to XML."""
+
+    def __init__(self, system: System, name: str, parameter_set: str) -> None:
+        self._system = system
+        self._name = name
+        self._set = parameter_set
+        self._files: dict[str, Element] = {}
+        self._units: dict[str, BaseUnit] = {}
+
+    def files(self, experiment: Experiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
+        """Return the texts of all files."""
+        system = self._system
+        sources = _sources(system)
+        root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_spaces("ssd", "ssc", "ssv", "ssm", *_TOOLS))
+        root.attrib.update({"version": "1.0", "name": self._name})
+        if description:
+            root.set("description", description)
+        top = _add(root, "ssd:System", name=self._name)
+        self._boundary(top)
+        elements = _add(top, "ssd:Elements")
+        for name, component in system.components.items():
+            assert isinstance(component, FmuComponent)  # _sources has seen to it
+            assert _entry(component) in sources
+            values = {
+                port.variable: value
+                for port, value in system.start_values.items()
+                if port.component == name and port not in exposed
+            }
+            self._component(elements, name, _entry(component), values, experiment.step_size)
+        self._connections(top)
+        if experiment.step_size is not None:
+            information = _annotation(top, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
+            times = {
+                "stepSize": repr(experiment.step_size),
+                "absoluteTolerance": "0.0001",
+                "relativeTolerance": "0.0001",
+            }
+            _add(information, "oms:FixedStepMaster", description="oms-ma", **times)
+        _units(root, "ssd:Units", self._units)
+        _experiment(root, experiment)
+        return {name: _text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
+
+    def _component(
+        self, elements: Element, name: str, source: str, values: Mapping[str, Value], step_size: float | None
+    ) -> None:
+        system = self._system
+        element = _add(elements, "ssd:Component", name=name, source=source)
+        used = {port.variable for c in system.connections for port in c[:2] if port.component == name}
+        used |= {link.port.variable for link in system.outputs.values() if link.port.component == name}
+        used |= {
+            link.port.variable
+            for links in system.inputs.values()
+            for link in links
+            if link.port.component == name and not self._is_mapped(links)
+        }
+        variables = [v for v in system.components[name].variables if v.name in used]
+        self._connectors(element, [(v.name, v.causality, v) for v in variables])
+        if values:
+            set_of = {variable: (system.variable(Port(name, variable)), value) for variable, value in values.items()}
+            self._bind(element, self._parameter_set(f"{name}.ssv", set_of))
+        ratio = system.step_ratios.get(name, 1)
+        if ratio > 1:
+            if step_size is None:
+                raise UsageError.report(
+                    "step size", expected=f"a number of seconds, for the step ratio {ratio} of {name}", received="none"
+                )
+            _annotation(element, "com.opensimulationplatform", "osp:StepSizeHint").set("value", repr(ratio * step_size))
+
+    def _boundary(self, top: Element) -> None:
+        """Write what the system shows: connectors, their start values, and mappings of shared parameters."""
+        system = self._system
+        kinds: list[tuple[str, str, Variable]] = []
+        plain: dict[str, tuple[Variable, Value]] = {}
+        shared: dict[str, tuple[Variable, Value]] = {}
+        for name, links in system.inputs.items():
+            variable, value = self._start(name, links)
+            if self._is_mapped(links):
+                shared[name] = (variable, value)
+                continue
+            inputs = all(system.variable(link.port).causality == "input" for link in links)
+            kinds.append((name, "input" if inputs else "parameter", variable))
+            plain[name] = (variable, value)
+        kinds += [(name, "output", self._seen(link)) for name, link in system.outputs.items()]
+        self._connectors(top, kinds)
+        if plain:
+            self._bind(top, self._parameter_set(f"{self._name}.boundary.ssv", plain))
+        if shared:
+            binding = self._bind(top, self._parameter_set(f"{self._name}.parameters.ssv", shared))
+            _add(binding, "ssd:ParameterMapping", source=self._mapping(f"{self._name}.parameters.ssm", shared))
+
+    def _is_mapped(self, links: Iterable[Link]) -> bool:
+        """Whether a name at the boundary is one parameter for several: a mapping then says so, no connector."""
+        return all(self._system.variable(link.port).causality != "input" for link in links)
+
+    def _seen(self, link: Link) -> Variable:
+        variable = self._system.variable(link.port)
+        if link[1:] == _ASIS:
+            return variable
+        return Variable(variable.name, variable.causality, variable.type)
+
+    def _start(self, name: str, links: tuple[Link, ...]) -> tuple[Variable, Value]:
+        """Return a variable like what is at the boundary, and the value with which all behind it start."""
+        system, (first, *_) = self._system, links
+        given = system.start_values.get(first.port, system.variable(first.port).start)
+        if given is None:
+            raise CouplingError.report(f"input {name}", expected=f"a start value for {first.port}", received="none")
+        value = given if first[1:] == _ASIS else (float(given) - first.offset) / first.factor
+        for port, expected in system.starts(name, value).items():
+            actual = system.start_values.get(port, expected)
+            if convert(system.variable(port), actual, name) != expected and port != first.port:
+                raise CouplingError.report(
+                    f"start value of {port}", expected=f"{expected}, as {name} says", received=repr(actual)
+                )
+        return self._seen(first), value
+
+    def _mapping(self, file: str, shared: Iterable[str]) -> str:
+        root = etree.Element(_tag("ssm:ParameterMapping"), nsmap=_spaces("ssm", "ssc"))
+        root.set("version", "1.0")
+        for name in shared:
+            for link in self._system.inputs[name]:
+                entry = _add(root, "ssm:MappingEntry", source=name, target=str(link.port))
+                _transform(entry, link.factor, link.offset)
+        self._files[file] = root
+        return file
+
+    def _connectors(self, element: Element, kinds: Iterable[tuple[str, str, Variable]]) -> None:
+        kinds = list(kinds)
+        connectors = _add(element, "ssd:Connectors") if kinds else None
+        for name, kind, variable in kinds:
+            connector = _add(connectors, "ssd:Connector", name=name, kind=kind)
+            typed = _add(connector, f"ssc:{'Integer' if variable.type == 'Enumeration' else variable.type}")
+            if variable.type == "Real" and self._define(variable, self._units):
+                typed.set("unit", variable.unit)
+
+    def _parameter_set(self, file: str, values: Mapping[str, tuple[Variable, Value]]) -> str:
+        root = etree.Element(_tag("ssv:ParameterSet"), nsmap=_spaces("ssv", "ssc"))
+        root.attrib.update({"version": "1.0", "name": self._set})
+        parameters, units = _add(root, "ssv:Parameters"), dict[str, BaseUnit]()
+        for name, (variable, value) in values.items():
+            typed = _add(
+                _add(parameters, "ssv:Parameter", name=name), f"ssv:{variable.type}", value=_literal(variable, value)
+            )
+            if variable.type == "Real" and self._define(variable, units):
+                typed.set("unit", variable.unit)
+        _units(root, "ssv:Units", units)
+        self._files[file] = root
+        return file
+
+    def _bind(self, element: Element, file: str) -> Element:
+        bindings = element.find(_tag("ssd:ParameterBindings"))
+        if bindings is None:
+            bindings = _add(element, "ssd:ParameterBindings")
+        return _add(bindings, "ssd:ParameterBinding", source=file)
+
+    def _connections(self, top: Element) -> None:
+        system = self._system
+        ends: list[tuple[dict[str, str], float, float]] = []
+        for name, links in system.inputs.items():
+            for port, factor, offset in () if self._is_mapped(links) else links:
+                ends.append(({"startConnector": name} | _port("end", port), factor, offset))
+        for source, target, factor, offset, _ in system.connections:
+            ends.append((_port("start", source) | _port("end", target), factor, offset))
+        for name, (port, factor, offset) in system.outputs.items():
+            ends.append((_port("start", port) | {"endConnector": name}, factor, offset))
+        connections = _add(top, "ssd:Connections") if ends else None
+        for attributes, factor, offset in ends:
+            _transform(_add(connections, "ssd:Connection", **attributes), factor, offset)
+
+    def _define(self, variable: Variable, units: dict[str, BaseUnit]) -> bool:
+        """Note the variable's unit; a unit that nobody can define is left out, and no tool converts it."""
+        if not variable.unit:
+            return False
+        meaning = variable.base_unit
+        if meaning is None:
+            try:
+                meaning = base_unit(variable.unit)
+            except ModelError:
+                return False
+        if meaning is not None:
+            units[variable.unit] = meaning
+        return meaning is not None
+
+
+def _literal(variable: Variable, value: Value) -> str:
+    if variable.type == "Boolean":
+        return "true" if value else "false"
+    if variable.type == "Enumeration":
+        return next((name for name, number in variable.items if number == value), str(value))
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _transform(element: Element, factor: float, offset: float) -> None:
+    """Write what a value becomes; it has the conversion of units in it, which not every tool would make."""
+    if (factor, offset) != _ASIS:
+        element.set("suppressUnitConversion", "true")
+        _add(element, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+
+
+def _port(end: str, port: Port) -> dict[str, str]:
+    return {f"{end}Element": port.component, f"{end}Connector": port.variable}
+
+
+def _units(root: Element, tag: str, units: Mapping[str, BaseUnit]) -> None:
+    group = _add(root, tag) if units else None
+    for name, meaning in sorted(units.items()):
+        _add(_add(group, "ssc:Unit", name=name), "ssc:BaseUnit", **meaning.attributes())
+
+
+def _experiment(root: Element, experiment: Experiment) -> None:
+    times = {"startTime": experiment.start_time, "stopTime": experiment.stop_time}
+    element = _add(root, "ssd:DefaultExperiment", **{k: f"{v!r}" for k, v in times.items() if v is not None})
+    if experiment.step_size is not None:
+        algorithm = _annotation(element, "com.opensimulationplatform", "osp:Algorithm")
+        _add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(experiment.step_size))
+
+
+def _annotation(parent: Element, tool: str, *tags: str) -> Element:
+    element = _add(_add(parent, "ssd:Annotations"), "ssc:Annotation", type=tool)
+    for tag in tags:
+        element = _add(element, tag)
+    return element
+
+
+def _tag(name: str) -> str:
+    prefix, _, local = name.partition(":")
+    return f"{{{_PREFIXES[prefix]}}}{local}"
+
+
+def _spaces(*prefixes: str) -> dict[str, str]:
+    return {prefix: _PREFIXES[prefix] for prefix in prefixes}
+
+
+def _add(parent: Element, tag: str, /, **attributes: str) -> Element:
+    return etree.SubElement(parent, _tag(tag), attributes)
+
+
+def _text(root: Element) -> bytes:
+    etree.indent(root)
+    data: Any = etree.tostring(root, xml_declaration=True, encoding="UTF-8")
+    return (
+        bytes(data).replace(b"<?xml version='1.0' encoding='UTF-8'?>", b'<?xml version="1.0" encoding="UTF-8"?>')
+        + b"\n"
+    )
