@@ -79,26 +79,30 @@ def _design(options: argparse.Namespace) -> int:
 
 
 def _build(options: argparse.Namespace) -> int:
-    for path in _build_all(options.model, options.out, options.systems):
+    for path in _build_all(options.model, options.out, options.components, options.systems):
         print(path)
     return 0
 
 
-def _build_all(model: str, out: Path, systems: Path | None) -> list[Path]:
-    from ndob_fmu.cosim import build_ssp
+def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> list[Path]:
+    from ndob_fmu.components import build_components, build_controller
+    from ndob_fmu.cosim import build_ssp, parameter_sets
     from ndob_fmu.fmu import build
     from ndob_fmu.loading import load_model
     from ndob_fmu.shipped import shipped_folder
 
-    paths = list(build(load_model(model), out))
+    model = load_model(name)
+    paths = list(build(model, out))
+    if components or systems is not None:
+        paths += [build_controller(model, out), *build_components(out)]
     if systems is not None:
-        folders = sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd"))
-        paths += [build_ssp(folder, out, systems) for folder in folders]
+        for folder in sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd")):
+            paths += [build_ssp(folder, out, systems, parameter_set=one) for one in (None, *parameter_sets(folder))]
     return paths
 
 
 def _build_demo() -> Path:
-    _build_all(_DEMO_MODEL, _BUILD / "fmus", _BUILD / "ssp")
+    _build_all(_DEMO_MODEL, _BUILD / "fmus", True, _BUILD / "ssp")
     return _BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
 
 
@@ -211,7 +215,12 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=_BUILD / "fmus", metavar="DIR", help="folder of the FMUs (%(default)s)"
     )
     sub.add_argument(
-        "--systems", type=Path, metavar="DIR", help="also pack the shipped systems with these FMUs into DIR"
+        "--components",
+        action="store_true",
+        help="also <Name>Controller.fmu, DisturbanceSource.fmu, Encoder.fmu and TorsionSpring.fmu",
+    )
+    sub.add_argument(
+        "--systems", type=Path, metavar="DIR", help="also these, and the shipped systems with all of them into DIR"
     )
 
     sub = command("simulate", _simulate, "Co-simulate a system (.ssp) or one FMU at a fixed communication step.")

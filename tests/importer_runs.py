@@ -97,7 +97,8 @@ def difference(rows: Rows, expected: Rows, rounding: float = 0.0) -> float:
     """
     if rows.shape != expected.shape or not np.allclose(rows[:, 0], expected[:, 0], rtol=0.0, atol=1e-9):
         return np.inf
-    size = np.minimum(1.0, np.abs(expected).max(axis=0))[1:]
+    largest = np.abs(expected).max(axis=0)[1:]
+    size = np.where(largest > 0.0, np.minimum(1.0, largest), 1.0)
     found = np.abs(rows - expected)[:, 1:].max(axis=0)
     return float((np.maximum(0.0, found - rounding) / size).max())
 

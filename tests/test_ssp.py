@@ -302,7 +302,7 @@ def test_packing_says_what_is_missing_and_leaves_the_old_package(tmp_path, fmus)
     with pytest.raises(UsageError, match=r"expected a folder with SystemStructure\.ssd"):
         build_ssp(tmp_path / "absent", fmus, tmp_path)
     (folder / "SystemStructure.ssd").write_text("<ssd")
-    with pytest.raises(CouplingError, match="SystemStructure.ssd: expected well-formed XML"):
+    with pytest.raises(CouplingError, match=r"SystemStructure\.ssd: expected well-formed XML"):
         build_ssp(folder, fmus, tmp_path)
 
 

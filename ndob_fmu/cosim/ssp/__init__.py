@@ -1,6 +1,6 @@
 """System structure packages (SSP 1.0): read, written, packed and checked."""
 
-from ndob_fmu.cosim.ssp.pack import build_ssp
+from ndob_fmu.cosim.ssp.pack import build_ssp, parameter_sets
 from ndob_fmu.cosim.ssp.read import open_ssp
 
-__all__ = ["build_ssp", "open_ssp"]
+__all__ = ["build_ssp", "open_ssp", "parameter_sets"]

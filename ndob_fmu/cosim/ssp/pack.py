@@ -14,8 +14,12 @@ _SUFFIXES = (".ssd", ".ssv", ".ssm", ".ssb")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
 
 
-def build_ssp(folder: str | Path, fmu_dir: str | Path, out_dir: str | Path) -> Path:
+def build_ssp(
+    folder: str | Path, fmu_dir: str | Path, out_dir: str | Path, *, parameter_set: str | None = None
+) -> Path:
     """Pack ``folder`` (SystemStructure.ssd, .ssv, .ssm and .ssb files) with its FMUs: ``out_dir/<folder's name>.ssp``.
+
+    parameter_set: a folder inside, whose files replace those beside it; its name goes to that of the package.
 
     The FMUs are those the .ssd names, taken from ``fmu_dir``. The same files give the same bytes. Raises UsageError if
     the folder has no .ssd or the package cannot be written, CouplingError if the .ssd does not follow SSP 1.0 or an FMU
@@ -25,7 +29,14 @@ def build_ssp(folder: str | Path, fmu_dir: str | Path, out_dir: str | Path) -> P
     description = folder / SSD_NAME
     if not description.is_file():
         raise UsageError.report(str(folder), expected=f"a folder with {SSD_NAME}", received="none there")
-    files = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in _SUFFIXES}
+    name = folder.resolve().name
+    files = _descriptions(folder)
+    if parameter_set is not None:
+        if parameter_set not in parameter_sets(folder):
+            expected = f"one of {', '.join(parameter_sets(folder)) or 'none'}"
+            raise UsageError.report(f"parameter set of {name}", expected=expected, received=repr(parameter_set))
+        files |= _descriptions(folder / parameter_set)
+        name = f"{name}_{parameter_set}"
     for source in _sources(description, files[SSD_NAME]):
         fmu = fmu_dir / Path(source).name
         if not fmu.is_file():
@@ -33,7 +44,16 @@ def build_ssp(folder: str | Path, fmu_dir: str | Path, out_dir: str | Path) -> P
                 str(description), expected=f"{fmu.name} in {fmu_dir}", received="no such file", likely="not built yet"
             )
         files[source] = fmu.read_bytes()
-    return write_package(Path(out_dir) / f"{folder.resolve().name}.ssp", files)
+    return write_package(Path(out_dir) / f"{name}.ssp", files)
+
+
+def parameter_sets(folder: str | Path) -> list[str]:
+    """Return the names of the parameter sets that a system has besides the one in its own folder."""
+    return sorted({path.parent.name for path in Path(folder).glob("*/*.ssv")})
+
+
+def _descriptions(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in _SUFFIXES}
 
 
 def write_package(target: Path, files: Mapping[str, bytes]) -> Path:
