@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 import zipfile
 from pathlib import Path
@@ -16,6 +17,7 @@ from importer_studies import reference
 from importers import Study
 
 from ndob_fmu.cosim import open_ssp, simulate
+from ndob_fmu.cosim.ssp.schema import NAMESPACES
 
 ROOT = Path(__file__).parents[1]
 # With the steps after which there is something to see in all components: disturbances begin at 1 s.
@@ -60,6 +62,8 @@ def test_a_portable_system_keeps_to_what_all_tools_read(shipped, name):
     with zipfile.ZipFile(path) as package:
         texts = [package.read(entry).decode() for entry in package.namelist() if not entry.endswith(".fmu")]
     assert all("SystemGeometry" not in text and "Enumeration" not in text for text in texts)
+    for text in texts:  # libcosim looks for these prefixes, whatever they stand for
+        assert dict(re.findall(r'xmlns:(ss\w)="(\S+)"', text)).items() <= NAMESPACES.items()
     assert sum("org.openmodelica" in text and "osp:FixedStepAlgorithm" in text for text in texts) == 1
 
 

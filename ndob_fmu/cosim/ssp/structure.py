@@ -116,10 +116,9 @@ class Structure:
                 )
         return {name: found[name] for name in shown}
 
-    def ends(self, node: Node, trail: tuple[Node, ...] = ()) -> list[End]:
+    def ends(self, node: Node) -> list[End]:
         """Return where a signal from `node` gets to: ports of components and outputs of the outermost system."""
-        signal = self._signal(node)
-        return list(self._ends(node, signal.unit, 1.0, 0.0, trail))
+        return list(self._ends(node, self._signal(node).unit, 1.0, 0.0, ()))
 
     def _ends(self, node: Node, unit: Unit, factor: float, offset: float, trail: tuple[Node, ...]) -> Iterator[End]:
         if node in trail:
