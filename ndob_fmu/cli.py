@@ -52,11 +52,23 @@ def run_and_leave() -> NoReturn:
 
 
 def _check(options: argparse.Namespace) -> int:
+    if options.model.endswith(".ssp"):
+        return _check_system(options)
+    if options.picture is not None:
+        raise UsageError.report("--picture", expected="a system (.ssp) to draw", received=options.model)
     from ndob_fmu.assumptions import check
     from ndob_fmu.loading import load_model
 
     report = check(load_model(options.model))
     print(_json(report.to_dict()) if options.json else report)
+    return 0 if report.passed else 1
+
+
+def _check_system(options: argparse.Namespace) -> int:
+    from ndob_fmu.cosim import check_ssp
+
+    report = check_ssp(options.model, picture=options.picture)
+    print(report.to_json() if options.json else report)
     return 0 if report.passed else 1
 
 
@@ -188,8 +200,9 @@ def _parser() -> argparse.ArgumentParser:
 
     model_help = f"a Python file that defines `model`, or a built-in name ({_DEMO_MODEL})"
 
-    sub = command("check", _check, "Check the paper's assumptions on a model; exit code 1 if one fails.")
-    sub.add_argument("model", metavar="MODEL", help=model_help)
+    sub = command("check", _check, "Check the paper's assumptions on a model, or a system; exit code 1 if one fails.")
+    sub.add_argument("model", metavar="MODEL", help=f"{model_help}, or the path of a system (.ssp)")
+    sub.add_argument("--picture", type=Path, metavar="FILE", help="also draw the system (.svg)")
     sub.add_argument("--json", action="store_true", help="print JSON")
 
     sub = command("design", _design, "Design the observer: gains, poles, bandwidth, noise gain.")

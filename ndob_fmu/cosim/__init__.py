@@ -4,7 +4,7 @@ from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.loops import Loop, algebraic_loops
 from ndob_fmu.cosim.run import simulate
-from ndob_fmu.cosim.ssp import build_ssp, open_ssp, parameter_sets
+from ndob_fmu.cosim.ssp import build_ssp, check_ssp, open_ssp, parameter_sets
 from ndob_fmu.cosim.system import Connection, Port, System
 from ndob_fmu.results import Recording
 
@@ -20,6 +20,7 @@ __all__ = [
     "Variable",
     "algebraic_loops",
     "build_ssp",
+    "check_ssp",
     "open_ssp",
     "parameter_sets",
     "simulate",

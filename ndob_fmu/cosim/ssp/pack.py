@@ -6,11 +6,10 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from ndob_fmu.cosim.ssp.schema import NAMESPACES, SSD_NAME, parse
+from ndob_fmu.cosim.ssp.schema import NAMESPACES, ROOTS_BY_SUFFIX, SSD_NAME, parse
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.results import atomic_path
 
-_SUFFIXES = (".ssd", ".ssv", ".ssm", ".ssb")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
 
 
@@ -53,7 +52,7 @@ def parameter_sets(folder: str | Path) -> list[str]:
 
 
 def _descriptions(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in _SUFFIXES}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in ROOTS_BY_SUFFIX}
 
 
 def write_package(target: Path, files: Mapping[str, bytes]) -> Path:

@@ -42,18 +42,7 @@ def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple
         package = Package(path, archive)
         root = package.description()
         experiment = read_experiment(package.where, root)
-        top = child(root, "ssd:System")
-        fmus: dict[str, Path] = {}
-        parts: dict[str, FmuComponent] = {}
-        for name, element in components(top):
-            entry = package.entry(f"component {name}", element.get("source"))
-            if entry not in fmus:
-                fmus[entry] = Path(archive.extract(entry, folder))
-            if name in parts:
-                raise CouplingError.report(
-                    f"{path}, component {name}", expected="a new name", received="one that is taken"
-                )
-            parts[name] = FmuComponent(fmus[entry], name)
+        parts = read_components(package, root, archive, folder)
         yield read_system(package, root, parts, experiment.step_size if step_size is None else step_size), experiment
 
 
@@ -110,6 +99,22 @@ class Package:
                 received=", ".join(there) or f"no {suffix} file",
             )
         return name
+
+
+def read_components(package: Package, root: Element, archive: ZipFile, folder: str) -> dict[str, FmuComponent]:
+    """Unpack the FMUs of a description, each once, into a folder and return its components by their full names."""
+    fmus: dict[str, Path] = {}
+    parts: dict[str, FmuComponent] = {}
+    for name, element in components(child(root, "ssd:System")):
+        entry = package.entry(f"component {name}", element.get("source"))
+        if entry not in fmus:
+            fmus[entry] = Path(archive.extract(entry, folder))
+        if name in parts:
+            raise CouplingError.report(
+                f"{package.path}, component {name}", expected="a new name", received="one that is taken"
+            )
+        parts[name] = FmuComponent(fmus[entry], name)
+    return parts
 
 
 def read_system(package: Package, root: Element, parts: dict[str, FmuComponent], step_size: float | None) -> System:

@@ -21,7 +21,13 @@ NAMESPACES = {
     "ssm": f"{SSP}ParameterMapping",
     "ssb": f"{SSP}SignalDictionary",
 }
-# Elements that the schema of a description does not look into.
+ROOTS_BY_SUFFIX = {
+    ".ssd": "SystemStructureDescription",
+    ".ssv": "ParameterSet",
+    ".ssm": "ParameterMapping",
+    ".ssb": "SignalDictionary",
+}
+# The schema of a description does not look into the others, which may be inside it.
 _ROOTS = {
     "SystemStructureDescription": ("ssd", "Description"),
     "ParameterSet": ("ssv", "ParameterValues"),

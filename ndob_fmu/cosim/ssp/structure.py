@@ -79,7 +79,7 @@ class Structure:
     _drivers: dict[Node, Node] = field(default_factory=dict)
 
     def connections(self) -> tuple[Connection, ...]:
-        """Return what drives what, in the order of the components that are driven."""
+        """Return what drives what, in the order of the file."""
         found = [
             Connection(Port(*source), Port(*end.node), end.factor, end.offset, convert_units=False)
             for source in self._sources()
@@ -87,8 +87,8 @@ class Structure:
             for end in self.ends(source)
             if end.node.owner in self.parts
         ]
-        order = list(self.parts)
-        return tuple(sorted(found, key=lambda connection: order.index(connection.target.component)))
+        order = {Port(*node): index for index, node in enumerate(self._drivers)}
+        return tuple(sorted(found, key=lambda connection: order[connection.target]))
 
     def inputs(self) -> dict[str, tuple[Link, ...]]:
         """Return the inputs and parameters behind each connector of the outermost system."""

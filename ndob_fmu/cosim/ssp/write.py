@@ -8,26 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
-
-from lxml import etree
 
 from ndob_fmu.cosim.component import Value, Variable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.ssp import markup
+from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
 from ndob_fmu.cosim.ssp.pack import write_package
-from ndob_fmu.cosim.ssp.schema import NAMESPACES, SSD_NAME, Element
+from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.system import Link, Port, System
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.cosim.wiring import require_drivers
 from ndob_fmu.errors import CouplingError, ModelError, UsageError
 from ndob_fmu.units import BaseUnit, base_unit
 
-_TOOLS = {
-    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
-    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
-}
-_PREFIXES = NAMESPACES | _TOOLS
 _ASIS = (1.0, 0.0)
 
 
@@ -84,13 +78,13 @@ class _Writer:
         """Return the texts of all files."""
         system = self._system
         sources = _sources(system)
-        root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_spaces("ssd", "ssc", "ssv", "ssm", *_TOOLS))
-        root.attrib.update({"version": "1.0", "name": self._name})
+        prefixes = ("ssd", "ssc", "ssv", "ssm", *TOOLS)
+        root = markup.root("ssd:SystemStructureDescription", *prefixes, version="1.0", name=self._name)
         if description:
             root.set("description", description)
-        top = _add(root, "ssd:System", name=self._name)
+        top = add(root, "ssd:System", name=self._name)
         self._boundary(top)
-        elements = _add(top, "ssd:Elements")
+        elements = add(top, "ssd:Elements")
         for name, component in system.components.items():
             assert isinstance(component, FmuComponent)  # _sources has seen to it
             assert _entry(component) in sources
@@ -102,22 +96,22 @@ class _Writer:
             self._component(elements, name, _entry(component), values, experiment.step_size)
         self._connections(top)
         if experiment.step_size is not None:
-            information = _annotation(top, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
+            information = annotate(top, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
             times = {
                 "stepSize": repr(experiment.step_size),
                 "absoluteTolerance": "0.0001",
                 "relativeTolerance": "0.0001",
             }
-            _add(information, "oms:FixedStepMaster", description="oms-ma", **times)
-        _units(root, "ssd:Units", self._units)
+            add(information, "oms:FixedStepMaster", description="oms-ma", **times)
+        define_units(root, "ssd:Units", self._units)
         _experiment(root, experiment)
-        return {name: _text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
+        return {name: text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
 
     def _component(
         self, elements: Element, name: str, source: str, values: Mapping[str, Value], step_size: float | None
     ) -> None:
         system = self._system
-        element = _add(elements, "ssd:Component", name=name, source=source)
+        element = add(elements, "ssd:Component", name=name, source=source)
         used = {port.variable for c in system.connections for port in c[:2] if port.component == name}
         used |= {link.port.variable for link in system.outputs.values() if link.port.component == name}
         used |= {
@@ -137,7 +131,7 @@ class _Writer:
                 raise UsageError.report(
                     "step size", expected=f"a number of seconds, for the step ratio {ratio} of {name}", received="none"
                 )
-            _annotation(element, "com.opensimulationplatform", "osp:StepSizeHint").set("value", repr(ratio * step_size))
+            annotate(element, "com.opensimulationplatform", "osp:StepSizeHint").set("value", repr(ratio * step_size))
 
     def _boundary(self, top: Element) -> None:
         """Write what the system shows: connectors, their start values, and mappings of shared parameters."""
@@ -159,7 +153,7 @@ class _Writer:
             self._bind(top, self._parameter_set(f"{self._name}.boundary.ssv", plain))
         if shared:
             binding = self._bind(top, self._parameter_set(f"{self._name}.parameters.ssv", shared))
-            _add(binding, "ssd:ParameterMapping", source=self._mapping(f"{self._name}.parameters.ssm", shared))
+            add(binding, "ssd:ParameterMapping", source=self._mapping(f"{self._name}.parameters.ssm", shared))
 
     def _is_mapped(self, links: Iterable[Link]) -> bool:
         """Whether a name at the boundary is one parameter for several: a mapping then says so, no connector."""
@@ -187,43 +181,41 @@ class _Writer:
         return self._seen(first), value
 
     def _mapping(self, file: str, shared: Iterable[str]) -> str:
-        root = etree.Element(_tag("ssm:ParameterMapping"), nsmap=_spaces("ssm", "ssc"))
-        root.set("version", "1.0")
+        root = markup.root("ssm:ParameterMapping", "ssm", "ssc", version="1.0")
         for name in shared:
             for link in self._system.inputs[name]:
-                entry = _add(root, "ssm:MappingEntry", source=name, target=str(link.port))
+                entry = add(root, "ssm:MappingEntry", source=name, target=str(link.port))
                 _transform(entry, link.factor, link.offset)
         self._files[file] = root
         return file
 
     def _connectors(self, element: Element, kinds: Iterable[tuple[str, str, Variable]]) -> None:
         kinds = list(kinds)
-        connectors = _add(element, "ssd:Connectors") if kinds else None
+        connectors = add(element, "ssd:Connectors") if kinds else None
         for name, kind, variable in kinds:
-            connector = _add(connectors, "ssd:Connector", name=name, kind=kind)
-            typed = _add(connector, f"ssc:{'Integer' if variable.type == 'Enumeration' else variable.type}")
+            connector = add(connectors, "ssd:Connector", name=name, kind=kind)
+            typed = add(connector, f"ssc:{'Integer' if variable.type == 'Enumeration' else variable.type}")
             if variable.type == "Real" and self._define(variable, self._units):
                 typed.set("unit", variable.unit)
 
     def _parameter_set(self, file: str, values: Mapping[str, tuple[Variable, Value]]) -> str:
-        root = etree.Element(_tag("ssv:ParameterSet"), nsmap=_spaces("ssv", "ssc"))
-        root.attrib.update({"version": "1.0", "name": self._set})
-        parameters, units = _add(root, "ssv:Parameters"), dict[str, BaseUnit]()
+        root = markup.root("ssv:ParameterSet", "ssv", "ssc", version="1.0", name=self._set)
+        parameters, units = add(root, "ssv:Parameters"), dict[str, BaseUnit]()
         for name, (variable, value) in values.items():
-            typed = _add(
-                _add(parameters, "ssv:Parameter", name=name), f"ssv:{variable.type}", value=_literal(variable, value)
+            typed = add(
+                add(parameters, "ssv:Parameter", name=name), f"ssv:{variable.type}", value=_literal(variable, value)
             )
             if variable.type == "Real" and self._define(variable, units):
                 typed.set("unit", variable.unit)
-        _units(root, "ssv:Units", units)
+        define_units(root, "ssv:Units", units)
         self._files[file] = root
         return file
 
     def _bind(self, element: Element, file: str) -> Element:
-        bindings = element.find(_tag("ssd:ParameterBindings"))
+        bindings = element.find(tag("ssd:ParameterBindings"))
         if bindings is None:
-            bindings = _add(element, "ssd:ParameterBindings")
-        return _add(bindings, "ssd:ParameterBinding", source=file)
+            bindings = add(element, "ssd:ParameterBindings")
+        return add(bindings, "ssd:ParameterBinding", source=file)
 
     def _connections(self, top: Element) -> None:
         system = self._system
@@ -235,9 +227,9 @@ class _Writer:
             ends.append((_port("start", source) | _port("end", target), factor, offset))
         for name, (port, factor, offset) in system.outputs.items():
             ends.append((_port("start", port) | {"endConnector": name}, factor, offset))
-        connections = _add(top, "ssd:Connections") if ends else None
+        connections = add(top, "ssd:Connections") if ends else None
         for attributes, factor, offset in ends:
-            _transform(_add(connections, "ssd:Connection", **attributes), factor, offset)
+            _transform(add(connections, "ssd:Connection", **attributes), factor, offset)
 
     def _define(self, variable: Variable, units: dict[str, BaseUnit]) -> bool:
         """Note the variable's unit; a unit that nobody can define is left out, and no tool converts it."""
@@ -266,51 +258,16 @@ def _transform(element: Element, factor: float, offset: float) -> None:
     """Write what a value becomes; it has the conversion of units in it, which not every tool would make."""
     if (factor, offset) != _ASIS:
         element.set("suppressUnitConversion", "true")
-        _add(element, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+        add(element, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
 
 
 def _port(end: str, port: Port) -> dict[str, str]:
     return {f"{end}Element": port.component, f"{end}Connector": port.variable}
 
 
-def _units(root: Element, tag: str, units: Mapping[str, BaseUnit]) -> None:
-    group = _add(root, tag) if units else None
-    for name, meaning in sorted(units.items()):
-        _add(_add(group, "ssc:Unit", name=name), "ssc:BaseUnit", **meaning.attributes())
-
-
 def _experiment(root: Element, experiment: Experiment) -> None:
     times = {"startTime": experiment.start_time, "stopTime": experiment.stop_time}
-    element = _add(root, "ssd:DefaultExperiment", **{k: f"{v!r}" for k, v in times.items() if v is not None})
+    element = add(root, "ssd:DefaultExperiment", **{k: f"{v!r}" for k, v in times.items() if v is not None})
     if experiment.step_size is not None:
-        algorithm = _annotation(element, "com.opensimulationplatform", "osp:Algorithm")
-        _add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(experiment.step_size))
-
-
-def _annotation(parent: Element, tool: str, *tags: str) -> Element:
-    element = _add(_add(parent, "ssd:Annotations"), "ssc:Annotation", type=tool)
-    for tag in tags:
-        element = _add(element, tag)
-    return element
-
-
-def _tag(name: str) -> str:
-    prefix, _, local = name.partition(":")
-    return f"{{{_PREFIXES[prefix]}}}{local}"
-
-
-def _spaces(*prefixes: str) -> dict[str, str]:
-    return {prefix: _PREFIXES[prefix] for prefix in prefixes}
-
-
-def _add(parent: Element, tag: str, /, **attributes: str) -> Element:
-    return etree.SubElement(parent, _tag(tag), attributes)
-
-
-def _text(root: Element) -> bytes:
-    etree.indent(root)
-    data: Any = etree.tostring(root, xml_declaration=True, encoding="UTF-8")
-    return (
-        bytes(data).replace(b"<?xml version='1.0' encoding='UTF-8'?>", b'<?xml version="1.0" encoding="UTF-8"?>')
-        + b"\n"
-    )
+        algorithm = annotate(element, "com.opensimulationplatform", "osp:Algorithm")
+        add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(experiment.step_size))
