@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from urllib.parse import quote
 
 from ndob_fmu.cosim.component import Value, Variable
 from ndob_fmu.cosim.experiment import Experiment
@@ -30,7 +31,8 @@ def write_ssp(system: System, path: Path, experiment: Experiment, parameter_set:
     if path.suffix != ".ssp":
         raise UsageError.report(str(path), expected="the path of an .ssp", received=repr(path.suffix))
     files = describe(system, path.stem, experiment, parameter_set, description)
-    return write_package(path, files | {source: fmu.read_bytes() for source, fmu in _sources(system).items()})
+    fmus = _fmus(system)
+    return write_package(path, files | {_entry(fmus, name): fmu.read_bytes() for name, fmu in fmus.items()})
 
 
 def describe(
@@ -46,22 +48,24 @@ def describe(
     return _Writer(system, name, parameter_set).files(experiment, description, exposed)
 
 
-def _sources(system: System) -> dict[str, Path]:
-    """Return the FMUs by their names in the package."""
+def _fmus(system: System) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for name, component in system.components.items():
         if not isinstance(component, FmuComponent):
             received = type(component).__name__
             raise CouplingError.report(f"component {name}", expected="an FMU", received=received)
-        path = found.setdefault(_entry(component), component.path)
-        if path != component.path and path.read_bytes() != component.path.read_bytes():
-            expected = "FMUs whose files have different names, or are the same"
-            raise CouplingError.report(f"component {name}", expected=expected, received=f"{path}, {component.path}")
+        found[name] = component.path
     return found
 
 
-def _entry(component: FmuComponent) -> str:
-    return f"resources/{component.path.name}"
+def _entry(fmus: Mapping[str, Path], name: str) -> str:
+    """Return the name that a component's FMU has in the package.
+
+    One that several components use lies there once for each, so that each can have start values of its own in it.
+    """
+    file = fmus[name].name
+    alone = sum(other.name == file for other in fmus.values()) == 1
+    return f"resources/{file}" if alone else f"resources/{name}/{file}"
 
 
 class _Writer:
@@ -77,7 +81,7 @@ class _Writer:
     def files(self, experiment: Experiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
         """Return the texts of all files."""
         system = self._system
-        sources = _sources(system)
+        fmus = _fmus(system)
         prefixes = ("ssd", "ssc", "ssv", "ssm", *TOOLS)
         root = markup.root("ssd:SystemStructureDescription", *prefixes, version="1.0", name=self._name)
         if description:
@@ -85,15 +89,13 @@ class _Writer:
         top = add(root, "ssd:System", name=self._name)
         self._boundary(top)
         elements = add(top, "ssd:Elements")
-        for name, component in system.components.items():
-            assert isinstance(component, FmuComponent)  # _sources has seen to it
-            assert _entry(component) in sources
+        for name in fmus:
             values = {
                 port.variable: value
                 for port, value in system.start_values.items()
                 if port.component == name and port not in exposed
             }
-            self._component(elements, name, _entry(component), values, experiment.step_size)
+            self._component(elements, name, quote(_entry(fmus, name)), values, experiment.step_size)
         self._connections(top)
         if experiment.step_size is not None:
             information = annotate(top, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
@@ -194,7 +196,7 @@ class _Writer:
         connectors = add(element, "ssd:Connectors") if kinds else None
         for name, kind, variable in kinds:
             connector = add(connectors, "ssd:Connector", name=name, kind=kind)
-            typed = add(connector, f"ssc:{'Integer' if variable.type == 'Enumeration' else variable.type}")
+            typed = add(connector, f"ssc:{_written(variable)}")
             if variable.type == "Real" and self._define(variable, self._units):
                 typed.set("unit", variable.unit)
 
@@ -203,7 +205,9 @@ class _Writer:
         parameters, units = add(root, "ssv:Parameters"), dict[str, BaseUnit]()
         for name, (variable, value) in values.items():
             typed = add(
-                add(parameters, "ssv:Parameter", name=name), f"ssv:{variable.type}", value=_literal(variable, value)
+                add(parameters, "ssv:Parameter", name=name),
+                f"ssv:{_written(variable)}",
+                value=_literal(variable, value),
             )
             if variable.type == "Real" and self._define(variable, units):
                 typed.set("unit", variable.unit)
@@ -246,11 +250,14 @@ class _Writer:
         return meaning is not None
 
 
+def _written(variable: Variable) -> str:
+    """Return the type that goes into the file: libcosim gives up at an Enumeration there."""
+    return "Integer" if variable.type == "Enumeration" else variable.type
+
+
 def _literal(variable: Variable, value: Value) -> str:
     if variable.type == "Boolean":
         return "true" if value else "false"
-    if variable.type == "Enumeration":
-        return next((name for name, number in variable.items if number == value), str(value))
     return repr(value) if isinstance(value, float) else str(value)
 
 
