@@ -113,8 +113,8 @@ def test_a_portable_system_starts_in_fmpys_own_simulation_as_it_should(shipped, 
     result, ours = simulate_ssp(str(path), stop_time=0.02, step_size=1e-3), simulate(path, stop_time=0.02)
     shown = [column for column in result.dtype.names if column in ours.names]
     assert {column.partition(".")[0] for column in shown} >= {"plant" if name != "two_joints" else "plant_a"}
-    # Only the spring's torque at the start has to be exchanged before the first step.
-    tolerance = 1e-12 if name != "two_joints" else 1e-5
+    # Only the torque of the spring has to be exchanged before the first step: 2 N·m come 1 ms late.
+    tolerance = 1e-12 if name != "two_joints" else 1e-4
     for column in shown if name != "two_joints" else (c for c in shown if c.startswith("plant")):
         np.testing.assert_allclose(result[column][:20], ours[column][1:], rtol=0.0, atol=tolerance, err_msg=column)
 
