@@ -40,10 +40,11 @@ def table(demo):
     return read_csv(demo / "results" / "flexible_joint" / "result.csv")
 
 
-def test_the_demo_leaves_the_fmus_the_system_and_the_results(demo):
+def test_the_demo_leaves_the_fmus_the_systems_and_the_results(demo, shipped):
     found = sorted(str(path.relative_to(demo)) for path in demo.rglob("*") if path.is_file())
     expected = [f"results/flexible_joint/{name}" for name in (*FIGURES, "result.csv", "summary.json")]
-    expected += ["build/fmus/FlexibleJointObserver.fmu", "build/fmus/FlexibleJointPlant.fmu", "build/ssp/open_loop.ssp"]
+    expected += [f"build/fmus/{path.name}" for path in shipped.fmus.glob("*.fmu")]
+    expected += [f"build/ssp/{path.name}" for path in shipped.systems.iterdir()]
     assert found == sorted(str(Path(name)) for name in expected)
 
 

@@ -16,7 +16,7 @@ from importer_runs import difference, in_python
 from importer_studies import reference
 from importers import Study
 
-from ndob_fmu.cosim import open_ssp, simulate
+from ndob_fmu.cosim import check_ssp, open_ssp, simulate
 from ndob_fmu.cosim.ssp.schema import NAMESPACES
 
 ROOT = Path(__file__).parents[1]
@@ -48,6 +48,12 @@ def test_every_system_and_every_parameter_set_is_built(shipped, regenerate):
     }
     assert {path.stem for path in shipped.systems.glob("*.ssp")} == names
     assert {*PORTABLE, *VARIANTS, "disturbance_rejection_full"} < names
+
+
+def test_every_package_passes_all_checks(shipped):
+    for path in shipped.systems.glob("*.ssp"):
+        report = check_ssp(path)
+        assert report.passed, report
 
 
 @pytest.mark.parametrize("name", PORTABLE)

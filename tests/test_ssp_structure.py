@@ -330,3 +330,14 @@ def test_a_signal_goes_through_a_system_without_components(pack):
     parts = component("one", "y<", bindings=values(a=1, b=0, k=2)), component("two", "a>", bindings=values(b=0, k=1))
     ssd = description(elements(inner, *parts) + connections("one.y inner.u", "inner.y two.a"))
     assert np.isclose(start(pack(ssd))["two.y"], 6.0)
+
+
+def test_a_unit_of_the_fmu_that_it_does_not_define_is_that_of_the_package(pack, fmus, tmp_path):
+    """And a variable without unit has that of its connector."""
+    fmu = changed(fmus / "Gain.fmu", tmp_path / "Gain.fmu", a="turn")
+    units = unit("turn", rad=1, factor=10.0).replace(
+        "</ssd:Units>", '<ssc:Unit name="half"><ssc:BaseUnit rad="1" factor="0.5"/></ssc:Unit></ssd:Units>'
+    )
+    set_units = unit("rad", prefix="ssv", rad=1)
+    part = component("one", "k=[half]", bindings=values(a="20 rad", b=0, k="3 rad", units=set_units))
+    assert start(pack(description(elements(part), units), fmu))["one.y"] == 2.0 * 6.0

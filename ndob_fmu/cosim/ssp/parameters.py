@@ -108,7 +108,7 @@ def _parameter(where: str, entry: Element, prefix: str, units: Units) -> _Parame
 def _targets(system: System, structure: Structure, path: str, element: Element, name: str) -> list[_Target]:
     """Return all variables that a name means in a binding of the element at `path`."""
     if local_name(element) == "Component":
-        return [_port(system, Port(path, name))]
+        return [_port(system, structure, Port(path, name))]
     full = join(path, name)
     found = [
         _Target(Port(*end.node), end.factor, end.offset, structure.signals[node].unit)
@@ -120,17 +120,17 @@ def _targets(system: System, structure: Structure, path: str, element: Element, 
         if full.startswith(f"{part}.") and (path == "" or part.startswith(f"{path}.")):
             port = Port(part, full[len(part) + 1 :])
             if any(variable.name == port.variable for variable in system.component(part).variables):
-                found.append(_port(system, port))
-    return found or [_port(system, system.port(full))]
+                found.append(_port(system, structure, port))
+    return found or [_port(system, structure, system.port(full))]
 
 
 def _settable(structure: Structure, node: Node) -> list[End]:
     return [end for end in structure.ends(node) if end.node.owner in structure.parts]
 
 
-def _port(system: System, port: Port) -> _Target:
-    variable = system.variable(port)
-    return _Target(port, 1.0, 0.0, Unit(variable.unit, variable.base_unit))
+def _port(system: System, structure: Structure, port: Port) -> _Target:
+    system.variable(port)  # which names the nearest one if there is none
+    return _Target(port, 1.0, 0.0, structure.signal(Node(*port)).unit)
 
 
 def _scaling(parameter: _Parameter, target: _Target) -> tuple[float, float]:

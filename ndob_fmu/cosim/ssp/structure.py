@@ -118,7 +118,7 @@ class Structure:
 
     def ends(self, node: Node) -> list[End]:
         """Return where a signal from `node` gets to: ports of components and outputs of the outermost system."""
-        return list(self._ends(node, self._signal(node).unit, 1.0, 0.0, ()))
+        return list(self._ends(node, self.signal(node).unit, 1.0, 0.0, ()))
 
     def _ends(self, node: Node, unit: Unit, factor: float, offset: float, trail: tuple[Node, ...]) -> Iterator[End]:
         if node in trail:
@@ -133,7 +133,7 @@ class Structure:
 
     def _across(self, node: Node, hop: _Hop, unit: Unit) -> tuple[float, float, Unit]:
         """Return factor and offset of one connection, with the conversion of units, and the unit behind it."""
-        source, target = self._signal(node), self._signal(hop.target)
+        source, target = self.signal(node), self.signal(hop.target)
         where = f"{self.where}, connection {node} → {hop.target}"
         if source.type and target.type and source.type != target.type:
             raise CouplingError.report(where, expected=f"the type {target.type} of {hop.target}", received=source.type)
@@ -154,13 +154,15 @@ class Structure:
         """Return the connectors that signals come from: all that drive something and are not driven themselves."""
         return [node for node in self._hops if node not in self._drivers]
 
-    def _signal(self, node: Node) -> Signal:
+    def signal(self, node: Node) -> Signal:
         """Return what is known of a connector: for a component's, what the FMU says goes before the file."""
         declared = self.signals.get(node, Signal("", None, Unit()))
         if node.owner not in self.parts:
             return declared
         variable = self.variable(Port(*node))
-        unit = Unit(variable.unit, variable.base_unit) if variable.unit else declared.unit
+        unit = declared.unit
+        if variable.unit:
+            unit = Unit(variable.unit, variable.base_unit or self.units.get(variable.unit))
         return Signal(variable.causality, variable.type, unit)
 
     # -- used while the description is read
@@ -185,7 +187,7 @@ class Structure:
         if outgoing[1] is None:
             outgoing[1] = None if outgoing[0] is None else not outgoing[0]
         if outgoing[0] is None or outgoing[0] == outgoing[1]:
-            kinds = " and ".join(self._signal(node).kind for node, _ in ends)
+            kinds = " and ".join(self.signal(node).kind for node, _ in ends)
             raise self._error(connection, "a source and a target", kinds)
         (source, _), (target, _) = ends if outgoing[0] else reversed(ends)
         if target in self._drivers:
