@@ -1,6 +1,6 @@
 """Write the descriptions of the shipped systems into this folder.
 
-    python ssp/regenerate.py FMUS
+    python -m ssp.regenerate FMUS
 
 FMUS: the folder with the FMUs of `ndob-fmu build flexible_joint --components`. Each system gets a folder with its
 description and its nominal parameter set; every other set lies in a folder inside, with files that replace these.
@@ -19,6 +19,7 @@ from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.ssp.write import describe
 from ndob_fmu.results import atomic_path
+from ssp.nested import two_joints_full
 
 HERE = Path(__file__).resolve().parent
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
@@ -45,6 +46,8 @@ SETS: Mapping[str, ParameterSet] = {
 
 RESOLUTION = 2.0 * pi / 4096  # of the encoders, in rad
 NOISE = 5e-4  # rad, before the encoders round
+TURNED = {"a": 1.0, "b": 0.0}  # rad, where the two arms start
+SPRING = 2.0  # N·m/rad, between them
 SMALL_NOISE = 1e-5  # rad, where there is no encoder: as much as lets the observer bear a model that is not exact
 
 
@@ -108,16 +111,25 @@ def noisy_encoder(fmus: Path, values: ParameterSet) -> System:
     return closed_loop(fmus, values, noise_std, encoders=True)
 
 
+def still_plant() -> Values:
+    """Return start values of an arm that nothing but its neighbour moves."""
+    return {"disturbance.kind": 0, "motor_torque": 0.0, **at_rest("_start")}
+
+
+def free_observer() -> Values:
+    """Return start values of an observer beside such an arm."""
+    return {"motor_torque": 0.0, "noise_std": SMALL_NOISE, **at_rest("_hat_start")}
+
+
 def two_joints(fmus: Path, values: ParameterSet) -> System:
     """Two arms whose links a spring couples; each observer estimates the torque that comes from the other joint."""
     system = System()
-    for joint, turned in (("a", 1.0), ("b", 0.0)):
-        start: Values = {**at_rest("_start"), "link_angle_start": turned, "motor_angle_start": turned}
-        still: Values = {"disturbance.kind": 0, "motor_torque": 0.0}
-        tuning: Values = {"motor_torque": 0.0, "noise_std": SMALL_NOISE, **at_rest("_hat_start"), **values.belief}
-        system = system.add(f"plant_{joint}", fmus / "FlexibleJointPlant.fmu", {**still, **start, **values.plant})
+    for joint, turned in TURNED.items():
+        start: Values = {**still_plant(), "link_angle_start": turned, "motor_angle_start": turned, **values.plant}
+        tuning: Values = {**free_observer(), **values.belief}
+        system = system.add(f"plant_{joint}", fmus / "FlexibleJointPlant.fmu", start)
         system = system.add(f"observer_{joint}", fmus / "FlexibleJointObserver.fmu", tuning)
-    system = system.add("spring", fmus / "TorsionSpring.fmu", {"stiffness": 2.0})
+    system = system.add("spring", fmus / "TorsionSpring.fmu", {"stiffness": SPRING})
     for joint in ("a", "b"):
         for angle in MEASURED:
             system = system.connect(f"plant_{joint}.{angle}", f"observer_{joint}.{angle}")
@@ -162,7 +174,9 @@ def descriptions(fmus: Path) -> dict[str, bytes]:
             for file, text in texts.items():
                 if parameter_set == "nominal" or file.endswith(".ssv"):
                     files[f"{folder}/{file}"] = text
-    return files
+    plant = {name: value for name, value in still_plant().items() if not name.endswith("angle_start")}
+    nested = two_joints_full(plant, free_observer(), SPRING, TURNED)
+    return files | {f"two_joints_full/{file}": text for file, text in nested.items()}
 
 
 def main(fmus: str) -> None:

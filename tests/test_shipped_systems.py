@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 import zipfile
@@ -18,6 +17,7 @@ from importers import Study
 
 from ndob_fmu.cosim import check_ssp, open_ssp, simulate
 from ndob_fmu.cosim.ssp.schema import NAMESPACES
+from ssp import regenerate
 
 ROOT = Path(__file__).parents[1]
 # With the steps after which there is something to see in all components: disturbances begin at 1 s.
@@ -25,28 +25,19 @@ PORTABLE = {"open_loop": 400, "disturbance_rejection": 1200, "noisy_encoder": 12
 VARIANTS = {"open_loop_heavy_arm": 200, "two_joints_detuned": 200, "disturbance_rejection_uncompensated": 1200}
 
 
-@pytest.fixture(scope="module")
-def regenerate():
-    spec = importlib.util.spec_from_file_location("regenerate_systems", ROOT / "ssp" / "regenerate.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclass looks there
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_descriptions_are_those_that_the_authoring_function_makes(shipped, regenerate):
+def test_the_descriptions_are_those_that_the_authoring_function_makes(shipped):
     made = regenerate.descriptions(shipped.fmus)
     kept = {path.relative_to(ROOT / "ssp").as_posix(): path.read_bytes() for path in (ROOT / "ssp").glob("*/**/*.ss?")}
     assert kept == made
 
 
-def test_every_system_and_every_parameter_set_is_built(shipped, regenerate):
+def test_every_system_and_every_parameter_set_is_built(shipped):
     names = {
         name if one == "nominal" else f"{name}_{one}"
         for name, (_, _, sets) in regenerate.SYSTEMS.items()
         for one in sets
     }
-    assert {path.stem for path in shipped.systems.glob("*.ssp")} == names
+    assert {path.stem for path in shipped.systems.glob("*.ssp")} == names | {"two_joints_full"}
     assert {*PORTABLE, *VARIANTS, "disturbance_rejection_full"} < names
 
 
@@ -183,3 +174,16 @@ def test_a_shared_parameter_is_said_once(shipped):
     each = {f"{part}.joint_stiffness": 2.0 for part in parts} | {"controller.link_angle_reference": 0.1}
     np.testing.assert_array_equal(once.columns, simulate(path, stop_time=1.1, start_values=each).columns)
     assert not np.array_equal(once.columns, simulate(path, stop_time=1.1).columns)
+
+
+def test_the_full_form_of_the_joints_is_the_portable_one_in_two_systems(shipped):
+    """Nested systems, a signal dictionary, a mapping, and FMUs with several instances."""
+    full, portable = (simulate(shipped.systems / f"two_joints{suffix}.ssp", stop_time=0.2) for suffix in ("_full", ""))
+    for name in portable.names:
+        part, variable = name.split(".")
+        kind, _, joint = part.partition("_")
+        nested = f"joint_{joint}.{kind}.{variable}" if joint else name
+        np.testing.assert_array_equal(full[nested], portable[name], err_msg=nested)
+    np.testing.assert_array_equal(full["load_torque_hat_a"], portable["observer_a.load_torque_hat"])
+    with zipfile.ZipFile(shipped.systems / "two_joints_full.ssp") as package:
+        assert sum(name.endswith(".fmu") for name in package.namelist()) == 3
