@@ -20,10 +20,9 @@ from importer_studies import coupled_twice, observer_alone, plant_alone, referen
 from importers import Rows, Study
 from native_host import Native, unpack
 
-from ndob_fmu.cosim import build_ssp
+from ndob_fmu.cosim import System
 
 TOLERANCE = 1e-9
-SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 HERE = Path(__file__).parent
 SPECIAL = "ä # + [ ( , ' x"
 PRINTED = 0.5e-6  # by what the six decimals of ecos's file may differ from the number
@@ -120,7 +119,7 @@ def in_ecos(study: Study, folder: Path) -> Rows:
     shutil.copy(Path(find_spec("ecospy").origin).parent / "binaries" / "ecos", program)
     program.chmod(0o755)
     result = folder / f"{package.stem}.csv"
-    words = ["simulate", "--path", package, "--stepSize", f"{study.step_size:g}", "--parameterSet", "open_loop"]
+    words = ["simulate", "--path", package, "--stepSize", f"{study.step_size:g}", "--parameterSet", study.parameter_set]
     words += ["--stopTime", f"{study.times[-1] + study.step_size / 2:.9g}", "--logLevel", "warn"]
     done = subprocess.run(
         [program, *words], cwd=folder, env={"TMPDIR": str(folder)}, capture_output=True, text=True, check=False
@@ -186,45 +185,10 @@ def with_states(study: Study) -> Rows:
 
 def _packed(study: Study, folder: Path) -> Path:
     """Write the study as an SSP package."""
-    source, fmus = folder / "study", folder / "fmus"
-    source.mkdir()
-    fmus.mkdir()
-    for path in study.instances.values():
-        shutil.copy(path, fmus)
-    for name in study.instances:
-        values = "".join(
-            f'<ssv:Parameter name="{port.split(".", 1)[1]}"><ssv:Real value="{value!r}"/></ssv:Parameter>'
-            for port, value in study.starts.items()
-            if port.startswith(f"{name}.")
-        )
-        (source / f"{name}.ssv").write_text(
-            f'<ssv:ParameterSet version="1.0" name="open_loop" xmlns:ssv="{SSP}ParameterValues">'
-            f"<ssv:Parameters>{values}</ssv:Parameters></ssv:ParameterSet>"
-        )
-    elements = "".join(
-        f'<ssd:Component name="{name}" source="resources/{Path(path).name}">'
-        f"<ssd:Connectors>{_connectors(study, name)}</ssd:Connectors>"
-        f'<ssd:ParameterBindings><ssd:ParameterBinding source="{name}.ssv"/></ssd:ParameterBindings></ssd:Component>'
-        for name, path in study.instances.items()
-    )
-    connections = "".join(
-        '<ssd:Connection startElement="{}" startConnector="{}" endElement="{}" endConnector="{}"/>'.format(
-            *first.split(".", 1), *second.split(".", 1)
-        )
-        for first, second in study.connections
-    )
-    (source / "SystemStructure.ssd").write_text(
-        f'<ssd:SystemStructureDescription version="1.0" name="study" xmlns:ssd="{SSP}Description" '
-        f'xmlns:ssc="{SSP}Common"><ssd:System name="study"><ssd:Elements>{elements}</ssd:Elements>'
-        f"<ssd:Connections>{connections}</ssd:Connections></ssd:System></ssd:SystemStructureDescription>"
-    )
-    return build_ssp(source, fmus, folder)
-
-
-def _connectors(study: Study, name: str) -> str:
-    ends = [(port, kind) for pair in study.connections for port, kind in zip(pair, ("output", "input"), strict=True)]
-    return "".join(
-        f'<ssd:Connector name="{port.split(".", 1)[1]}" kind="{kind}"><ssc:Real/></ssd:Connector>'
-        for port, kind in ends
-        if port.startswith(f"{name}.")
-    )
+    system = System()
+    for name, path in study.instances.items():
+        values = {p.removeprefix(f"{name}."): value for p, value in study.starts.items() if p.startswith(f"{name}.")}
+        system = system.add(name, path, values)
+    for source, target in study.connections:
+        system = system.connect(source, target)
+    return system.write(folder / "study.ssp", parameter_set=study.parameter_set)
