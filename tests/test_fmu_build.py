@@ -203,15 +203,21 @@ def test_units_are_reduced_to_base_units(tmp_path):
     }
 
 
-def test_choices_are_integers_within_the_range_of_their_items(flexible_joint):
-    """And no Enumerations: libcosim and ecos cannot set these."""
-    for fmu, name, low, high in (
-        (flexible_joint.plant, "disturbance.kind", 0, 5),
-        (flexible_joint.observer, "method", 1, 2),
-    ):
-        variable = next(v for v in description(fmu).modelVariables if v.name == name)
-        assert (variable.type, int(variable.min), int(variable.max)) == ("Integer", low, high)
-        assert variable.declaredType.name == {"method": "Method"}.get(name, "DisturbanceKind")
+def test_enumerations_are_declared_with_their_items(flexible_joint):
+    kinds = {
+        t.name: {item.name: int(item.value) for item in t.items}
+        for t in description(flexible_joint.plant).typeDefinitions
+        if t.items
+    }
+    assert kinds == {
+        "DisturbanceKind": {"none": 0, "constant": 1, "ramp": 2, "sine": 3, "step": 4, "chirp": 5},
+    }
+    methods = {
+        t.name: {item.name: int(item.value) for item in t.items}
+        for t in description(flexible_joint.observer).typeDefinitions
+    }
+    assert sorted(methods["Method"].values()) == [1, 2]
+    assert methods["Method"]["paper"] == 1
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -60,7 +60,7 @@ _QUANTITIES = {
     "s": "Time",
 }
 
-_CHOICES: Mapping[str, Mapping[str, int]] = {
+_ENUMERATIONS: Mapping[str, Mapping[str, int]] = {
     "DisturbanceKind": KINDS,
     "SourceKind": SOURCE_KINDS,
     "Interpolation": INTERPOLATIONS,
@@ -112,14 +112,16 @@ def complete(root: ET.Element, variables: Sequence[Variable]) -> ET.Element:
 
 def _complete_variable(element: ET.Element, variable: Variable, type_names: Mapping[str, str]) -> None:
     typed = element[0]
+    if variable.items is not None:
+        typed.tag = "Enumeration"
     # pythonfmu writes 16 digits, and with them another number than the FMU starts with.
     start = variable.start if isinstance(variable.start, float) and "start" in typed.attrib else None
     for attribute, value in (
         ("declaredType", type_names.get(_type_key(variable))),
         ("start", start),
         ("unit", variable.unit or None),
-        ("min", variable.minimum if variable.items is None else min(variable.items.values())),
-        ("max", variable.maximum if variable.items is None else max(variable.items.values())),
+        ("min", variable.minimum),
+        ("max", variable.maximum),
         ("nominal", variable.nominal),
     ):
         if value is not None:
@@ -154,26 +156,23 @@ def _type_definitions(type_names: Mapping[str, str]) -> ET.Element:
     definitions = ET.Element("TypeDefinitions")
     for key, name in type_names.items():
         simple = ET.SubElement(definitions, "SimpleType", {"name": name})
-        if key in _CHOICES:
-            numbers = _CHOICES[key].values()
-            simple.set("description", _listed(_CHOICES[key]))
-            ET.SubElement(simple, "Integer", {"min": str(min(numbers)), "max": str(max(numbers))})
+        if key in _ENUMERATIONS:
+            items = ET.SubElement(simple, "Enumeration")
+            for item, value in _ENUMERATIONS[key].items():
+                text = _ITEM_DESCRIPTIONS[item]
+                ET.SubElement(items, "Item", {"name": item, "value": str(value), "description": text})
         else:
             quantity = {"quantity": _QUANTITIES[key]} if key in _QUANTITIES else {}
             ET.SubElement(simple, "Real", quantity | {"unit": key})
     return definitions
 
 
-def _listed(items: Mapping[str, int]) -> str:
-    return "; ".join(f"{number} {item}: {_ITEM_DESCRIPTIONS[item]}" for item, number in items.items())
-
-
 def _type_names(variables: Sequence[Variable]) -> dict[str, str]:
-    """Return the name of the type of every unit and choice in use; none is also the name of a variable."""
+    """Return the name of the type of every unit and enumeration in use; none is also the name of a variable."""
     taken = {variable.name for variable in variables}
     names: dict[str, str] = {}
     for key in sorted({_type_key(variable) for variable in variables} - {""}):
-        name = key if key in _CHOICES else _QUANTITIES.get(key) or "Unit_" + _as_identifier(key)
+        name = key if key in _ENUMERATIONS else _QUANTITIES.get(key) or "Unit_" + _as_identifier(key)
         while name in taken:
             name += "_"
         taken.add(name)
@@ -182,8 +181,8 @@ def _type_names(variables: Sequence[Variable]) -> dict[str, str]:
 
 
 def _type_key(variable: Variable) -> str:
-    """Return what a variable's declared type goes by: its unit, or the name of its choice; "" for no type."""
-    for name, items in _CHOICES.items():
+    """Return what a variable's declared type goes by: its unit, or the name of its enumeration; "" for no type."""
+    for name, items in _ENUMERATIONS.items():
         if variable.items == items:
             return name
     return variable.unit

@@ -23,7 +23,7 @@ def source_variables() -> tuple[Variable, ...]:
     """Return the variables of `DisturbanceSource`. The output has no unit, so that it fits any disturbance."""
     return (
         Variable("disturbance", "output", "Disturbance at the end of the step, in the unit of what it drives"),
-        _parameter("disturbance.kind", 1, "Signal", type_="Integer", items=SOURCE_KINDS),
+        _parameter("disturbance.kind", 1, "Signal", type_="Enumeration", items=SOURCE_KINDS),
         _parameter(
             "disturbance.amplitude",
             1.0,
@@ -49,7 +49,7 @@ def source_variables() -> tuple[Variable, ...]:
             "disturbance.interpolation",
             1,
             "Between two rows of the profile",
-            type_="Integer",
+            type_="Enumeration",
             items=INTERPOLATIONS,
         ),
     )
@@ -76,8 +76,8 @@ def encoder_variables() -> tuple[Variable, ...]:
         _parameter("sample_time", 0.0, "Time between samples; 0: one for each step", unit="s", minimum=0.0),
         _parameter("delay", 0.0, "Time after which a sample is shown", unit="s", minimum=0.0),
         _parameter("dropout_probability", 0.0, "Probability that a sample is lost", minimum=0.0, maximum=1.0),
-        _parameter("dropped_sample", 2, "What is shown for a lost sample", "Integer", items=MISSING),
-        _parameter("between_samples", 1, "What is shown where no sample is due", "Integer", items=MISSING),
+        _parameter("dropped_sample", 2, "What is shown for a lost sample", "Enumeration", items=MISSING),
+        _parameter("between_samples", 1, "What is shown where no sample is due", "Enumeration", items=MISSING),
     )
 
 

@@ -20,8 +20,7 @@ class Variable:
     `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
     those of the end of the last step, whatever the inputs become afterwards. `sampled`: a signal that is read as of the
     start of a step, or made once for each; a value extrapolated into the step would be wrong. `positive`: the minimum,
-    which is 0, is itself not allowed. `items`: the numbers that a choice has, by name. A choice is an Integer and no
-    Enumeration: libcosim and ecos cannot set these.
+    which is 0, is itself not allowed.
     """
 
     name: str
@@ -132,7 +131,7 @@ def _tuning(eq: Equations) -> list[Variable]:
             "method",
             o.method,
             "1: the paper's observer, eqs. 22-24, integrated inside the step; 2: sampled-data design",
-            type_="Integer",
+            type_="Enumeration",
             items=METHODS,
         ),
         _parameter(
@@ -188,7 +187,7 @@ def _generator(eq: Equations, name: str) -> list[Variable]:
             f"{prefix}.kind",
             KINDS[signal.kind],
             f"Signal that the built-in generator adds to {name}",
-            type_="Integer",
+            type_="Enumeration",
             items=KINDS,
         ),
         _parameter(
