@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from ndob_fmu import __version__
 from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.extras import extra
 
 _BUILD = Path("build")
 _DEMO_MODEL = "flexible_joint"
@@ -135,6 +136,32 @@ def _simulate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _sweep(options: argparse.Namespace) -> int:
+    with extra("study"):
+        from ndob_fmu.study import read_study, sweep
+        from ndob_fmu.study.figures import draw
+        from ndob_fmu.study.summary import as_text, summarize
+
+    study = read_study(options.study)
+    folder = options.out or Path("results", study.name)
+    try:
+        tally = sweep(
+            study,
+            folder,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            retry_failed=options.retry_failed,
+        )
+    except KeyboardInterrupt:
+        print(f"\nndob-fmu: interrupted; finished runs are in {folder}, the same command goes on", file=sys.stderr)
+        return 130
+    summary = summarize(folder, tally)
+    print(as_text(summary))
+    names = ["runs.csv", "summary.json", *(f"{path.stem}.png and .svg" for path in draw(folder))]
+    print(f"Look at {folder}: {', '.join(names)}; `ndob-fmu report {folder}` makes a page of it.")
+    return 0 if summary["failed"] == 0 else 1
+
+
 def _demo(options: argparse.Namespace) -> int:
     from ndob_fmu.demo import run_demo
 
@@ -163,6 +190,16 @@ def _pairs(words: Sequence[str]) -> dict[str, str]:
             "--start-values", expected="pairs NAME VALUE", received=f"{len(words)} words", likely="a value is missing"
         )
     return dict(zip(words[::2], words[1::2], strict=True))
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise ValueError
+    return number
+
+
+_positive.__name__ = "whole number of 1 or more"  # what argparse calls it
 
 
 def _json(data: Any) -> str:
@@ -236,6 +273,13 @@ def _parser() -> argparse.ArgumentParser:
         "--order", nargs="+", metavar="COMPONENT", help="order of gauss-seidel (default: that of the system)"
     )
     sub.add_argument("--show-plot", action="store_true", help="open a window with the signals")
+
+    sub = command("sweep", _sweep, "Do a parameter study on many workers; goes on where an earlier call was stopped.")
+    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="what to run and to vary: docs/studies.md")
+    sub.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: results/NAME OF STUDY)")
+    sub.add_argument("--workers", type=_positive, metavar="N", help="processes on this machine (default: one per core)")
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="a running dask scheduler instead, as tcp://HOST:8786")
+    sub.add_argument("--retry-failed", action="store_true", help="do the failed runs again")
 
     sub = command("demo", _demo, "Run the paper's example and write its figures.")
     sub.add_argument(

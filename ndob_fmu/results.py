@@ -5,16 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import math
+import platform
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu import __version__
 from ndob_fmu.errors import UsageError
 
 _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
@@ -144,3 +147,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def software_versions(*more: str) -> dict[str, str]:
+    """Return the versions of Python, of this package, of what every result depends on, and of the packages named."""
+    names = ("fmpy", "pythonfmu", "numpy", *more)
+    own = {"python": platform.python_version(), "ndob-fmu": __version__}
+    return own | {name: version(name) for name in names}

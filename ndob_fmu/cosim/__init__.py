@@ -4,7 +4,7 @@ from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.loops import Loop, algebraic_loops
 from ndob_fmu.cosim.package import build_ssp
-from ndob_fmu.cosim.run import simulate
+from ndob_fmu.cosim.run import open_system, simulate
 from ndob_fmu.cosim.ssp import open_ssp
 from ndob_fmu.cosim.system import Connection, Port, System
 from ndob_fmu.results import Recording
@@ -22,5 +22,6 @@ __all__ = [
     "algebraic_loops",
     "build_ssp",
     "open_ssp",
+    "open_system",
     "simulate",
 ]

@@ -55,7 +55,7 @@ def simulate(
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
     SimulationError for a component that fails. No component and no temporary file outlives the call.
     """
-    with _opened(system) as (opened, experiment):
+    with open_system(system) as (opened, experiment):
         clock = Clock.over(
             _first(start_time, experiment.start_time, 0.0),
             _time("stop time", stop_time, experiment.stop_time),
@@ -98,7 +98,8 @@ def _warn_of_delays(system: System) -> None:
 
 
 @contextmanager
-def _opened(system: System | str | Path) -> Iterator[tuple[System, Experiment]]:
+def open_system(system: System | str | Path) -> Iterator[tuple[System, Experiment]]:
+    """Give the System itself, or the one behind the path of an .ssp or .fmu, with the default experiment, if any."""
     if isinstance(system, System):
         yield system, Experiment()
     elif Path(system).suffix == ".ssp":
