@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ndob_fmu.errors import UsageError
 from ndob_fmu.results import Recording, atomic_path
 
 Array = NDArray[np.float64]
@@ -86,20 +87,49 @@ def plot_start_up(path: Path, errors: Mapping[str, tuple[Array, Array]], *, labe
         axes.legend(loc="upper right")
 
 
+def plot_signals(path: Path, recording: Recording) -> None:
+    """Write a figure of every signal over time in s, one panel for each component and unit."""
+    panels = _panels(recording)
+    with figure(path, len(panels), height=1.0 + 1.8 * len(panels)) as rows:
+        _draw(rows, panels, recording)
+
+
 def show(recording: Recording) -> None:
-    """Open a window with every recorded signal, one row per component."""
+    """Open a window with every signal over time in s, one panel for each component and unit.
+
+    Raises UsageError where there is no screen.
+    """
     import matplotlib.pyplot as plt  # only here: it looks for a screen
 
-    components = sorted({name.split(".")[0] for name in recording.names})
-    _, rows = plt.subplots(len(components), squeeze=False, sharex=True, layout="constrained")
-    for axes, component in zip(rows[:, 0], components, strict=True):
-        for name in recording.names:
-            if name.startswith(f"{component}."):
-                axes.plot(recording.time, recording[name], label=name.removeprefix(f"{component}."))
-        axes.set_title(component)
-        axes.legend(fontsize="small")
-    rows[-1, 0].set_xlabel("time [s]")
-    plt.show()
+    if plt.get_backend().lower() == "agg":
+        raise UsageError.report(
+            "--show-plot", expected="a screen", received="none", likely="`--results DIR` writes the figure to a file"
+        )
+    panels = _panels(recording)
+    with mpl.rc_context(_STYLE):
+        _, rows = plt.subplots(
+            len(panels), squeeze=False, sharex=True, figsize=(9.0, min(9.0, 1.0 + 1.8 * len(panels)))
+        )
+        _draw(rows[:, 0], panels, recording)
+        plt.show()
+
+
+def _panels(recording: Recording) -> dict[tuple[str, str], list[str]]:
+    """Return the signals of each component and unit, in the order of the recording."""
+    panels: dict[tuple[str, str], list[str]] = {}
+    for name in recording.names:
+        component = name.partition(".")[0] if "." in name else ""
+        panels.setdefault((component, recording.units.get(name, "")), []).append(name)
+    return panels
+
+
+def _draw(rows: Iterable[Axes], panels: Mapping[tuple[str, str], Sequence[str]], recording: Recording) -> None:
+    for axes, ((component, unit), names) in zip(rows, panels.items(), strict=True):
+        for name in names:
+            axes.plot(recording.time, recording[name], linewidth=1.0, label=name.removeprefix(f"{component}."))
+        axes.set_ylabel(f"{component} [{unit.replace('.', '·') or '1'}]")
+        axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.set_xlabel("time [s]")
 
 
 def _log_magnitude(axes: Axes, time: Array, value: Array, color: str = "C0") -> None:

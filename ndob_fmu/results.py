@@ -7,7 +7,7 @@ import json
 import math
 import platform
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -28,13 +28,15 @@ class Recording:
     """Signals over time: row k of every array belongs to ``time[k]``.
 
     time: (rows,) in seconds. names: one per column, ``component.variable``. columns: (rows, len(names)), all as floats.
-    types: the FMI type of each column; empty means Real throughout. Raises UsageError if the shapes contradict.
+    types: the FMI type of each column; empty means Real throughout. units: of the columns that have one, by name.
+    Raises UsageError if the shapes contradict.
     """
 
     time: NDArray[np.float64]
     names: tuple[str, ...]
     columns: NDArray[np.float64]
     types: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     _position: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

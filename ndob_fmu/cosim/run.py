@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,10 @@ def simulate(
 
 
 def _with_outputs(system: System, recording: Recording) -> Recording:
-    """Return the recording with the outputs at the system's boundary, after those of the components."""
+    """Return the recording with the outputs at the system's boundary, after those of the components, and all units."""
+    units = {str(port): system.variable(port).unit for port in map(system.port, recording.names)}
+    units |= {name: system.variable(link.port).unit for name, link in system.outputs.items()}
+    recording = replace(recording, units={name: unit for name, unit in units.items() if unit})
     if not system.outputs:
         return recording
     types = dict(zip(recording.names, recording.types, strict=True))
@@ -84,6 +88,7 @@ def _with_outputs(system: System, recording: Recording) -> Recording:
         (*recording.names, *system.outputs),
         np.column_stack([recording.columns, *(recording[str(p)] * factor + offset for p, factor, offset in links)]),
         (*recording.types, *(types[str(link.port)] for link in links)),
+        recording.units,
     )
 
 

@@ -85,7 +85,7 @@ def draw(folder: Path) -> list[Path]:
     if there is no finished run or a file cannot be written.
     """
     plan, table = read_plan(folder), read_runs(folder)
-    units = plan["units"]
+    units = {name: unit.replace(".", "·") for name, unit in plan["units"].items()}
     parameters = [axis for axis in axes_of(table, list(plan["varied"])) if len(np.unique(axis.values)) > 1]
     measures = axes_of(table, list(plan["measures"]))
     measures = [axis for axis in measures if np.isfinite(axis.values).any()]

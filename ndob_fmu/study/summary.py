@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,10 @@ def summarize(folder: Path, tally: Tally) -> dict[str, Any]:
     plan, table = read_plan(folder), read_runs(folder)
     with atomic_path(folder / "runs.csv") as temporary:
         csv.write_csv(table.drop_columns([WALL_TIME]), temporary)
-    failed = column(table, FAILED)
     summary = {
         "study": plan["name"],
         "runs": plan["runs"],
-        "finished": len(table),
-        "failed": int(failed.sum()),
-        "reasons": dict(Counter(reason for reason in table[REASON].to_pylist() if reason).most_common(_MOST_REASONS)),
-        "measures": {name: _statistics(table, name) for name in plan["measures"]},
+        **statistics(table, plan),
         "last_call": {
             "runs": tally.done,
             "wall_time": tally.seconds,
@@ -45,6 +42,17 @@ def summarize(folder: Path, tally: Tally) -> dict[str, Any]:
     }
     write_json(folder / "summary.json", summary)
     return summary
+
+
+def statistics(table: pa.Table, plan: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how many runs have finished and failed, the most frequent reasons, and of each measure what it came to."""
+    reasons = Counter(reason for reason in table[REASON].to_pylist() if reason)
+    return {
+        "finished": len(table),
+        "failed": int(column(table, FAILED).sum()),
+        "reasons": dict(reasons.most_common(_MOST_REASONS)),
+        "measures": {name: _statistics(table, name) for name in plan["measures"]},
+    }
 
 
 def _statistics(table: pa.Table, name: str) -> dict[str, Any]:
