@@ -361,7 +361,9 @@ def test_the_program_returns_the_exit_code_and_prints_no_traceback(files):
 def test_the_program_tells_its_version_and_its_commands():
     assert run("--version").stdout.strip() == ndob_fmu.__version__
     shown = run("--help").stdout
-    assert [word for word in ("check", "design", "build", "simulate", "sweep", "report", "demo") if word not in shown] == []
+    assert [
+        word for word in ("check", "design", "build", "simulate", "sweep", "report", "demo") if word not in shown
+    ] == []
 
 
 def test_output_into_a_closed_pipe_is_no_traceback():

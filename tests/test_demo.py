@@ -125,7 +125,9 @@ def test_a_shorter_run_leaves_out_what_it_cannot_know(flexible_joint, tmp_path):
     assert summary["settling_time_2_percent"] is None
     assert summary["max_disturbance_error_from_12_s"] is None
     assert (summary["step_size"], summary["stop_time"]) == (5e-3, 0.5)
-    assert sorted(path.name for path in results.iterdir()) == sorted([*FIGURES, *PUBLISHED, "result.csv", "summary.json"])
+    assert sorted(path.name for path in results.iterdir()) == sorted(
+        [*FIGURES, *PUBLISHED, "result.csv", "summary.json"]
+    )
     assert json.loads((results / "summary.json").read_text("utf-8")).keys() == summary.keys()
     assert len(read_csv(results / "result.csv")) == 101
 
