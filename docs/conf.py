@@ -7,6 +7,7 @@ author = "the ndob-fmu authors"
 version = release = __version__
 extensions = ["myst_nb"]
 html_theme = "furo"
+html_show_copyright = False
 html_title = f"ndob-fmu {__version__}"
 exclude_patterns = ["Thumbs.db"]
 nitpicky = True
@@ -19,3 +20,4 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
+nb_merge_streams = True

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from coupling_fmus import coupling_fmus
 from study_files import SLOW, WALK, write
 
+from ndob_fmu.cosim import FmuComponent
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.results import Recording
 from ndob_fmu.study import read_study
 from ndob_fmu.study.measures import TAKES, Measure
 from ndob_fmu.study.points import Points, Range, grid, latin_hypercube, listed, random
+from ndob_fmu.study.session import Session
 
 
 @pytest.fixture(scope="session")
@@ -119,6 +123,29 @@ take = "rms"
     assert study.units["error"] == "N.m"
     assert study.units["step_size"] == "s"
     assert study.record == ("observer.load_torque_hat",)
+
+
+def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_path, monkeypatch):
+    load, loaded = FmuComponent._load, []
+    monkeypatch.setattr(FmuComponent, "_load", lambda self, folder: (loaded.append(folder), load(self, folder))[1])
+    text = SLOW.split("[fixed]")[0] + '[list]\nhow = ["", "discard", "", "raise", ""]\n'
+    study = read_study(write(tmp_path, "s", text, fmus))
+    session = Session(study, {study.system: Path(study.system)})
+    rows = [session.run(run) for run in range(5)]
+    session.close()
+    assert [row["failed"] for row in rows] == [False, True, False, True, False]
+    assert len(loaded) == 2
+    assert not any(folder.exists() for folder in loaded)
+
+
+def test_the_example_study_is_one(flexible_joint, tmp_path):
+    text = (Path(__file__).parents[1] / "examples" / "noise_study.toml").read_text("utf-8")
+    assert "../build/ssp/open_loop.ssp" in text
+    path = tmp_path / "noise_study.toml"
+    path.write_text(text.replace("../build/ssp/open_loop.ssp", str(flexible_joint.system)), "utf-8")
+    study = read_study(path)
+    assert len(study.points) == 120  # as README.md says
+    assert set(study.measures) == {"error", "worst", "settling"}
 
 
 def test_without_measures_the_last_value_of_every_output_is_kept(fmus, tmp_path):

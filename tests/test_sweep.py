@@ -88,11 +88,15 @@ def test_a_study_goes_on_where_it_was_stopped_and_redoes_nothing(walk, cluster, 
     kept = sorted((folder / "shards").iterdir())[::2]
     for shard in kept:
         (results / "shards" / shard.name).write_bytes(shard.read_bytes())
+    (results / "shards" / ".runs_00000000_00000001-0123456789ab.parquet").write_bytes(
+        b"half a file of a killed command"
+    )
     before = set(read_runs(results)["run"].to_pylist())
     tally = sweep(study, results, scheduler=cluster[0])
     assert tally.done == 24 - len(before)
     for shard in kept:
         assert (results / "shards" / shard.name).read_bytes() == shard.read_bytes()
+    assert [path for path in (results / "shards").iterdir() if not path.name.startswith("runs_")] == []
     columns = ["run", "u", "y", "step_size", "end", "least"]
     assert read_runs(results).select(columns) == read_runs(folder).select(columns)
     assert sweep(study, results, scheduler="tcp://127.0.0.1:1").done == 0  # nobody is asked for nothing

@@ -43,6 +43,8 @@ class Store:
             _require_same(plan, study)
         else:
             write_json(plan, {**study.to_dict(), "digest": study.digest})
+        for path in (folder / _SHARDS).glob(".runs_*"):  # of a command that was killed while it wrote
+            path.unlink()
         for path in _shards(folder):
             table = _read(path, [RUN, FAILED])
             runs = table[RUN].to_numpy()
