@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -72,15 +73,16 @@ def rows(parts: Sequence[str] = PARTS, *, quick: bool = False) -> Iterator[Row]:
         if "fresh" in parts:
             yield from _fresh(folder, runs=20 if quick else 1000, fresh=3 if quick else 60)
         if "memory" in parts:
-            yield from _memory(folder, runs=100 if quick else 10_000)
+            yield from _memory(folder, runs=2000 if quick else 10_000)
         if "study" in parts:
             yield from _study(folder, runs=4 if quick else 2000)
 
 
-def _sweep(folder: Path, text: str, workers: int) -> Tally:
+def _sweep(folder: Path, text: str, workers: int, results: Path | None = None) -> Tally:
     (folder / "study.toml").write_text(text, "utf-8")
-    with tempfile.TemporaryDirectory() as results:
-        return sweep(read_study(folder / "study.toml"), results, workers=workers, progress=False)
+    study = read_study(folder / "study.toml")
+    with tempfile.TemporaryDirectory() as temporary:
+        return sweep(study, results or temporary, workers=workers, progress=False)
 
 
 def _workers(folder: Path, *, runs: int, rounds: int) -> Iterator[Row]:
@@ -112,27 +114,32 @@ def _fresh(folder: Path, *, runs: int, fresh: int) -> Iterator[Row]:
 
 
 def _memory(folder: Path, *, runs: int) -> Iterator[Row]:
-    samples: list[tuple[int, int]] = []
-    done = threading.Event()
-    own = psutil.Process()
+    samples: list[tuple[int, int, int]] = []
+    done, own, results = threading.Event(), psutil.Process(), folder / "memory"
 
     def watch() -> None:
-        while not done.wait(0.25):
-            children = [child.memory_info().rss for child in own.children(recursive=True) if child.is_running()]
-            samples.append((own.memory_info().rss, sum(children)))
+        while not done.wait(0.2):
+            with suppress(psutil.Error):  # of a worker that is just ending
+                children = sum(child.memory_info().rss for child in own.children(recursive=True))
+                samples.append((_finished(results), own.memory_info().rss, children))
 
     watcher = threading.Thread(target=watch)
     watcher.start()
     try:
-        _sweep(folder, PLANT.format(runs=runs, stop_time=0.05), 2)
+        _sweep(folder, PLANT.format(runs=runs, stop_time=0.05), 2, results)
     finally:
         done.set()
         watcher.join()
-    # From a fifth on, when everything is loaded; the end, when workers go, is left out.
-    early, late = samples[len(samples) // 5], samples[len(samples) * 9 // 10]
-    for k, who in enumerate(("command", "two workers")):
-        yield Row(f"growth of the {who} over 70 % of {runs} runs", (late[k] - early[k]) / 2**20, "MiB", "flat")
-        yield Row(f"memory of the {who}", late[k] / 2**20, "MiB")
+    samples = [sample for sample in samples if runs // 5 <= sample[0] < runs]  # all loaded, nobody on the way out
+    early, late = samples[0], samples[-1]
+    for k, who in ((1, "command"), (2, "two workers")):
+        yield Row(f"growth of the {who}, run {early[0]} to {late[0]}", (late[k] - early[k]) / 2**20, "MiB", "flat")
+        yield Row(f"memory of the {who} then", late[k] / 2**20, "MiB")
+
+
+def _finished(results: Path) -> int:
+    spans = [path.stem.split("_")[1:] for path in (results / "shards").glob("runs_*.parquet")]
+    return sum(int(last) - int(first) + 1 for first, last in spans)
 
 
 def _study(folder: Path, *, runs: int) -> Iterator[Row]:

@@ -103,7 +103,8 @@ def connected(workers: int | None, scheduler: str | None) -> Iterator[Client]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep distributed's diary off the terminal; what matters of it comes back as an error or a row."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]  # each has its own level
+    names = ("distributed", "distributed.client", "tornado.application", "asyncio")  # each with a level of its own
+    loggers = [logging.getLogger(name) for name in names]
     before = [logger.level for logger in loggers]
     try:
         for logger in loggers:
