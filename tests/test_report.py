@@ -14,6 +14,7 @@ from ndob_fmu.cli import main
 from ndob_fmu.errors import UsageError
 from ndob_fmu.report import write_report
 from ndob_fmu.report.signals import estimates, thinned
+from ndob_fmu.study.figures import Axis, cell_medians
 
 STUDY = """
 system = "{system}"
@@ -127,6 +128,33 @@ def test_the_report_of_a_study_shows_its_figures_and_escapes_names(driver, study
     )
     assert "plant.joint_stiffness" in driver.find_element("css selector", "#plot-1 .ytitle").text
     screenshot(driver, tmp_path / "study.png")
+
+
+def test_a_run_without_a_value_lies_above_the_others_and_is_not_left_out():
+    axis = Axis("settling", np.array([1.0, 100.0, np.inf, 10.0, np.nan]))
+    values, ticks, labels = axis.drawable()
+    assert values[[0, 3, 1]] == pytest.approx([0.0, 1.0, 2.0])  # decades
+    assert values[2] == values[4] == ticks[-1] > 2.0
+    assert labels[-1] == "none"
+    words = Axis("kind", np.array([0.0, 1.0, 0.0]), ("sine", "step")).drawable()
+    assert (words[1], words[2]) == ([0.0, 1.0], ["sine", "step"])
+
+
+def test_a_cell_of_the_heat_map_is_the_median_of_its_runs():
+    x, y = Axis("x", np.array([1.0, 1, 2, 2, 2])), Axis("y", np.array([5.0, 5, 5, 7, 7]))
+    cells, columns, rows = cell_medians(x, y, Axis("z", np.array([1.0, 3.0, 4.0, np.nan, np.inf])))
+    np.testing.assert_array_equal(cells, [[2.0, 4.0], [np.nan, np.nan]])
+    assert (columns, rows) == (["1", "2"], ["5", "7"])
+    many = Axis("m", np.linspace(0.0, 12.0, 49))
+    cells, columns, _ = cell_medians(many, Axis("y", np.zeros(49)), many)
+    assert len(columns) == 12
+    assert cells[0].tolist() == sorted(cells[0])
+
+
+def test_the_figures_of_a_study_are_images_with_units(study):
+    for name in ("heat_map", "parallel_coordinates"):
+        assert (study / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert "[N·m]" in (study / f"{name}.svg").read_text("utf-8")
 
 
 def test_the_same_results_give_the_same_page(run, tmp_path):

@@ -139,9 +139,9 @@ def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_
 
 
 def test_the_example_study_is_one(flexible_joint, tmp_path):
-    text = (Path(__file__).parents[1] / "examples" / "noise_study.toml").read_text("utf-8")
+    text = (Path(__file__).parents[1] / "examples" / "tuning_study.toml").read_text("utf-8")
     assert "../build/ssp/open_loop.ssp" in text
-    path = tmp_path / "noise_study.toml"
+    path = tmp_path / "tuning_study.toml"
     path.write_text(text.replace("../build/ssp/open_loop.ssp", str(flexible_joint.system)), "utf-8")
     study = read_study(path)
     assert len(study.points) == 120  # as README.md says

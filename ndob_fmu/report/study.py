@@ -88,41 +88,31 @@ def _label(name: str, units: Mapping[str, str]) -> str:
     return f"{name} [{units[name]}]" if name in units else name
 
 
-def _scaled(axis: Axis, *, even: bool = False) -> tuple[Any, list[float], list[str]]:
-    """Return the values to draw, logarithmic where they span decades, with ticks and their labels.
-
-    even: ticks at equal distances also where there are few values.
-    """
+def _colors(axis: Axis, units: dict[str, str]) -> tuple[Any, dict[str, Any]]:
+    """Return what to colour by, logarithmic where it spans decades, and the bar that explains the colours."""
     known = axis.values[np.isfinite(axis.values)]
-    if axis.words:
-        return axis.values, list(range(len(axis.words))), list(axis.words)
-    levels = np.unique(known)
-    marks = (
-        levels
-        if len(levels) <= 6 and not even
-        else (np.geomspace if axis.log else np.linspace)(known.min(), known.max(), 6)
-    )
-    shown = np.log10(marks) if axis.log else marks
-    return np.log10(axis.values) if axis.log else axis.values, shown.tolist(), [axis.label(mark) for mark in marks]
+    marks = (np.geomspace if axis.log else np.linspace)(known.min(), known.max(), 5)
+    ticks = np.log10(marks) if axis.log else marks
+    labels = [axis.label(mark) for mark in marks]
+    bar = {"title": {"text": named(axis, units)}, "tickvals": ticks.tolist(), "ticktext": labels}
+    return np.log10(axis.values) if axis.log else axis.values, bar
 
 
 def _parallel(parameters: Sequence[Axis], measures: Sequence[Axis], units: dict[str, str]) -> tuple[str, go.Figure]:
     everything = [*parameters, *measures]
-    finite = np.isfinite(np.column_stack([axis.values for axis in everything])).all(axis=1)
-    chosen = np.flatnonzero(finite)
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), _MOST_LINES)).astype(int)]
+    total = len(measures[0].values)
+    chosen = np.linspace(0, total - 1, min(total, _MOST_LINES)).astype(int)
     dimensions = []
     for axis in everything:
-        values, ticks, labels = _scaled(axis)
+        values, ticks, labels = axis.drawable()
         dimensions.append(
             {"label": named(axis, units), "values": values[chosen], "tickvals": ticks, "ticktext": labels}
         )
-    values, ticks, labels = _scaled(measures[0], even=True)
-    bar = {"title": {"text": named(measures[0], units)}, "tickvals": ticks, "ticktext": labels}
-    line = {"color": values[chosen], "colorscale": "Viridis", "showscale": True, "colorbar": bar}
+    _, bar = _colors(measures[0], units)
+    line = {"color": measures[0].drawable()[0][chosen], "colorscale": "Viridis", "showscale": True, "colorbar": bar}
+    line |= {"cmin": bar["tickvals"][0], "cmax": bar["tickvals"][-1]}
     figure = go.Figure(go.Parcoords(line=line, dimensions=dimensions, labelangle=-12, labelside="bottom"))
     figure.update_layout(LAYOUT, height=440, margin={"l": 80, "r": 40, "t": 30, "b": 90})
-    total = len(measures[0].values)
     shown = "every finished run" if len(chosen) == total else f"{len(chosen)} of {total} finished runs"
     return f"Each line is a run ({shown}); drag along an axis to select, drag an axis to move it.", figure
 
@@ -132,8 +122,7 @@ def _heat_map(parameters: Sequence[Axis], measure: Axis, units: dict[str, str]) 
     figure, buttons = go.Figure(), []
     for k, (x, y) in enumerate(pairs):
         cells, columns, rows = cell_medians(x, y, measure)
-        values, ticks, labels = _scaled(Axis(measure.name, cells), even=True)
-        bar = {"title": {"text": named(measure, units)}, "tickvals": ticks, "ticktext": labels}
+        values, bar = _colors(Axis(measure.name, cells), units)
         figure.add_heatmap(
             z=values,
             x=columns,

@@ -22,6 +22,7 @@ from ndob_fmu.study.store import column, read_plan, read_runs
 Array = NDArray[np.float64]
 _MOST_CELLS = 12  # along an axis of the heat map
 _MOST_LINES = 2000
+_FEW = 6  # ticks
 _LOG_FROM = 20.0  # the ratio of largest to smallest from which an axis of positive values is logarithmic
 
 
@@ -52,6 +53,24 @@ class Axis:
     def label(self, value: float) -> str:
         """Return a value as text."""
         return self.words[int(value)] if self.words else f"{value:.3g}"
+
+    def drawable(self) -> tuple[Array, list[float], list[str]]:
+        """Return the values at which to draw each run, logarithmic where they span decades, and ticks with labels.
+
+        What is not finite, as the settling time of what never settles, lies above the rest, at a tick of its own.
+        """
+        finite = np.isfinite(self.values)
+        known = self.values[finite]
+        levels = np.unique(known)
+        spread = np.geomspace if self.log else np.linspace
+        marks = levels if self.words or len(levels) <= _FEW else spread(known.min(), known.max(), _FEW)
+        labels = [self.label(mark) for mark in marks]
+        ticks, values = (np.log10(marks), np.log10(self.values)) if self.log else (marks, self.values)
+        if not finite.all():
+            above = ticks[-1] + 0.12 * (np.ptp(ticks) or 1.0)
+            values = np.where(finite, values, above)
+            ticks, labels = np.append(ticks, above), [*labels, "none"]
+        return values, [float(tick) for tick in ticks], labels
 
 
 def axes_of(table: pa.Table, names: Sequence[str]) -> list[Axis]:
@@ -129,11 +148,10 @@ def _parallel_coordinates(
     path: Path, parameters: Sequence[Axis], measures: Sequence[Axis], units: dict[str, str]
 ) -> None:
     everything = [*parameters, *measures]
-    with plots.figure(path, 1, height=3.8, width=max(7.0, 1.6 * len(everything))) as (axes,):
-        heights = np.column_stack([np.ma.filled(_norm(axis)(axis.values).astype(float), np.nan) for axis in everything])
-        chosen = np.flatnonzero(np.isfinite(heights).all(axis=1))
-        chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), _MOST_LINES)).astype(int)]
-        places = np.arange(len(everything))
+    places = np.arange(len(everything), dtype=np.float64)
+    with plots.figure(path, 1, height=3.8, width=max(7.0, 2.0 * len(everything))) as (axes,):
+        heights = np.column_stack([_scale(axes, place, axis) for place, axis in zip(places, everything, strict=True)])
+        chosen = np.linspace(0, len(heights) - 1, min(len(heights), _MOST_LINES)).astype(int)
         lines = LineCollection(
             [np.column_stack([places, heights[run]]) for run in chosen], cmap="viridis", norm=_norm(measures[0])
         )
@@ -146,19 +164,17 @@ def _parallel_coordinates(
         axes.set_yticks([])
         axes.grid(visible=False)
         axes.spines["left"].set_visible(False)
-        axes.set_xticks(places, [named(axis, units).replace(".", ".\n", 1) for axis in everything])
-        for place, axis in zip(places, everything, strict=True):
-            _scale(axes, float(place), axis)
+        labels = [named(axis, units).replace(".", ".\n", 1).replace(" [", "\n[") for axis in everything]
+        axes.set_xticks(places, labels, fontsize="small")
         colors = mpl.cm.ScalarMappable(norm=_norm(measures[0]), cmap="viridis")  # the lines' own is transparent
         axes.figure.colorbar(colors, ax=axes, label=named(measures[0], units))
 
 
-def _scale(axes: Axes, place: float, axis: Axis) -> None:
+def _scale(axes: Axes, place: float, axis: Axis) -> Array:
+    """Draw one axis and return the height of each run on it, from 0 to 1."""
+    values, ticks, labels = axis.drawable()
+    norm = Normalize(ticks[0], ticks[-1])
     axes.axvline(place, color="0.3", linewidth=0.8)
-    known = axis.values[np.isfinite(axis.values)]
-    if axis.words or len(np.unique(known)) <= 6:
-        marks = np.unique(known)
-    else:
-        marks = (np.geomspace if axis.log else np.linspace)(known.min(), known.max(), 5)
-    for value, height in zip(marks, np.atleast_1d(_norm(axis)(marks)), strict=True):
-        axes.text(place + 0.03, float(height), axis.label(value), fontsize="x-small", va="center")
+    for height, label in zip(np.asarray(norm(ticks)), labels, strict=True):
+        axes.text(place + 0.03, float(height), label, fontsize="x-small", va="center")
+    return np.asarray(norm(values), dtype=np.float64)
