@@ -91,6 +91,9 @@ def test_the_report_of_a_run_shows_estimates_signals_parameters_and_versions(dri
     for words in ("pythonfmu", "numpy", "wall time [s]", "load_torque_total [N·m]"):
         assert words in driver.page_source
     assert re.search(r"plant\.disturbance\.kind</th><td>sine</td>", driver.page_source)
+    titles = driver.execute_script("return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
+    assert "Download plot" in titles
+    assert [title for title in titles if re.search("share|cloud|edit", title, re.IGNORECASE)] == []
     picture = driver.find_element("css selector", "img[alt*=system]")
     assert (picture.size["width"], picture.size["height"]) == (120, 40)
     assert base64.b64decode(picture.get_attribute("src").partition(",")[2]).decode() == PICTURE

@@ -15,7 +15,14 @@ from ndob_fmu.report.run import run_content
 from ndob_fmu.results import atomic_path
 
 SYSTEM_PICTURE = "system.svg"  # whoever has a picture of the system lays it into the results folder under this name
-_CONFIGURATION = {"displaylogo": False, "responsive": True, "toImageButtonOptions": {"format": "svg"}}
+_CONFIGURATION = {
+    "displaylogo": False,
+    "responsive": True,
+    "toImageButtonOptions": {"format": "svg"},
+    # Nobody's results go to a server by one click.
+    "showSendToCloud": False,
+    "plotlyServerURL": "",
+}
 
 
 def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
