@@ -40,6 +40,14 @@ def test_a_latin_hypercube_has_one_point_in_each_slice_of_every_range():
         assert sorted(positions.astype(int)) == list(range(40))
 
 
+def test_a_hypercube_and_random_draws_of_one_study_are_independent():
+    ranges = {"a": Range(0.0, 1.0)}
+    cube, drawn = (np.array(draw(ranges, 400, seed=5).rows)[:, 0] for draw in (latin_hypercube, random))
+    assert abs(np.corrcoef(cube, drawn)[0, 1]) < 4 / np.sqrt(400)
+    within = cube * 400 % 1
+    assert abs(np.corrcoef(within, drawn)[0, 1]) < 4 / np.sqrt(400)
+
+
 def test_random_draws_have_the_distribution_that_is_asked_for():
     ranges = {"normal": Range(5.0, 2.0, normal=True), "log": Range(1.0, 100.0, log=True)}
     normal, log = np.array(random(ranges, 4000, seed=3).rows).T
@@ -169,7 +177,7 @@ def test_without_measures_the_last_value_of_every_output_is_kept(fmus, tmp_path)
         ("step_size = [0.125, 0.25]", "step_size = [0.125, 0.3]", ["whole number of steps", "0.3"]),
         ("runs = 4", "", ["[latin_hypercube]", "runs"]),
         ("runs = 4", "runs = 0", ["runs", "1 or more"]),
-        ("runs = 4", "runs = 10_000_000", ["at most 10000000 runs", "60000000"]),
+        ("runs = 4", "runs = 10_000_000", ["at most 1000000 runs", "60000000"]),
         ("from = 1.0", "from = -1.0", ["positive number", "logarithmic"]),
         ("to = 100.0", "too = 100.0", ["'too'", "did you mean 'to'?"]),
         ("to = 100.0", "to = 0.5", ["above 1.0"]),

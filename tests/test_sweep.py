@@ -257,8 +257,11 @@ def test_ctrl_c_says_how_to_go_on(fmus, tmp_path):
     assert psutil.wait_procs(crew, timeout=10)[1] == []
 
 
-def test_a_scheduler_that_dies_ends_the_study_in_one_line_and_finished_runs_are_kept(fmus, cluster, tmp_path):
+def test_a_scheduler_that_dies_ends_the_study_in_one_line_and_finished_runs_are_kept(
+    fmus, cluster, tmp_path, monkeypatch
+):
     """The last test here: it takes the cluster down."""
+    monkeypatch.setattr(workers, "_PATIENCE", 3.0)
     address, (scheduler, *_) = cluster
     study = read_study(write(tmp_path, "slow", SLOW, fmus))
 

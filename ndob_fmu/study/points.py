@@ -59,13 +59,14 @@ def listed(columns: Mapping[str, Sequence[Value]]) -> Table:
 
 def latin_hypercube(ranges: Mapping[str, Range], count: int, seed: int) -> Table:
     """Return points of which each of ``count`` equally likely slices of every range holds one."""
-    shares = qmc.LatinHypercube(len(ranges), rng=seed).random(count)
+    # Streams of their own, so that a study with both kinds of tables has no points that go together.
+    shares = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng((seed, 0))).random(count)
     return _spread(ranges, shares)
 
 
 def random(ranges: Mapping[str, Range], count: int, seed: int) -> Table:
     """Return points drawn independently."""
-    return _spread(ranges, np.random.default_rng(seed).random((count, len(ranges))))
+    return _spread(ranges, np.random.default_rng((seed, 1)).random((count, len(ranges))))
 
 
 def _spread(ranges: Mapping[str, Range], shares: NDArray[np.float64]) -> Table:

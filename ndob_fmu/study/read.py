@@ -19,7 +19,6 @@ from ndob_fmu.study.read_tables import KINDS, flat, read_tables
 from ndob_fmu.study.toml_file import Section, read_toml
 
 _SECTIONS = ("system", "seed", "record", "simulation", "fixed", *KINDS, "measures")
-_MOST_RUNS = 10_000_000  # of which the bookkeeping still fits in a few megabytes
 
 
 def read_study(path: str | Path) -> Study:
@@ -77,9 +76,6 @@ def _check_points(file: Section, points: Points, fixed: Mapping[str, Value]) -> 
         raise UsageError.report(
             file.where, expected="a table " + " or ".join(f"[{k}]" for k in KINDS), received=received
         )
-    if len(points) > _MOST_RUNS:
-        received = f"{len(points)}, every combination of the tables"
-        raise UsageError.report(file.where, expected=f"at most {_MOST_RUNS} runs", received=received)
     seen: set[str] = set(fixed)
     for name in points.names:
         if name in seen:

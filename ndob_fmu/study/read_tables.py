@@ -14,6 +14,7 @@ from ndob_fmu.study.points import Range, Table, grid, latin_hypercube, listed, r
 from ndob_fmu.study.toml_file import Section
 
 KINDS = ("grid", "list", "latin_hypercube", "random")
+_MOST_RUNS = 1_000_000  # whose points still fit in some hundred megabytes
 _RANGE = {"from", "to", "mean", "std"}
 
 
@@ -22,6 +23,7 @@ def read_tables(file: Section, seed: int) -> Iterator[Table]:
 
     seed: of what is drawn. Raises UsageError for what cannot be read.
     """
+    runs = 1
     for kind in KINDS:
         section = file.section(kind)
         if not section.entries:
@@ -32,6 +34,8 @@ def read_tables(file: Section, seed: int) -> Iterator[Table]:
             if kind == "list" and len(set(lengths.values())) > 1:
                 received = ", ".join(f"{count} for {name}" for name, count in lengths.items())
                 raise UsageError.report(section.where, expected="as many values for each name", received=received)
+            runs *= math.prod(lengths.values()) if kind == "grid" else max(lengths.values())
+            _check_runs(file, runs)
             yield grid(columns) if kind == "grid" else listed(columns)
         else:
             count = section.get("runs", int, ..., "how many points")
@@ -41,7 +45,15 @@ def read_tables(file: Section, seed: int) -> Iterator[Table]:
             ranges = {name: _range(section, name, entry) for name, entry in flat(entries)}
             if not ranges:
                 raise UsageError.report(section.where, expected="parameters with ranges", received="none")
+            runs *= count
+            _check_runs(file, runs)
             yield latin_hypercube(ranges, count, seed) if kind == "latin_hypercube" else random(ranges, count, seed)
+
+
+def _check_runs(file: Section, runs: int) -> None:
+    if runs > _MOST_RUNS:
+        received = f"{runs}, every combination of the tables"
+        raise UsageError.report(file.where, expected=f"at most {_MOST_RUNS} runs", received=received)
 
 
 def flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
