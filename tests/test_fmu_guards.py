@@ -8,9 +8,10 @@ from __future__ import annotations
 from math import inf, nan
 
 import pytest
+import sympy
 from fmi_instance import DISCARD, ERROR, OK, opened
 
-from ndob_fmu import build, load_model
+from ndob_fmu import Model, build, load_model
 from ndob_fmu.fmu import front
 
 H = 1e-3
@@ -55,6 +56,31 @@ def test_a_step_that_cannot_be_is_discarded_and_the_right_one_taken(host, t, ste
     )
     assert host.doStep(0.0, H) == OK
     assert host.doStep(H * (1.0 + 1e-9), H) == OK  # a host's rounding error
+
+
+@pytest.mark.parametrize(("start", "stop"), [(nan, None), (inf, None), (1.0, 0.5), (0.0, nan)])
+def test_an_experiment_of_impossible_times_is_refused_and_one_of_possible_times_taken(host, start, stop):
+    assert host.setupExperiment(startTime=start, stopTime=stop) == host.refusal
+    (message,) = host.said
+    assert "expected a finite start time and a later stop time" in message
+    host.begin(start_time=1.0, stop_time=2.0)
+    host.step(1.0, H, motor_angle=1.0, link_angle=1.0)
+    assert len(host.said) == 1
+
+
+@pytest.mark.parametrize("spoil", [lambda b: b[:-1], lambda b: b"", lambda b: b"x" + b[1:]])
+def test_bytes_that_are_no_state_change_nothing(host, spoil):
+    """Without a front the bytes are read by a class that cannot log: the refusal comes where they are used."""
+    host.begin()
+    before = host.step(0.0, H, motor_angle=0.3, link_angle=0.1)
+    status, state = host.from_bytes(spoil(host.bytes_of(host.state())))
+    assert status == host.refusal
+    if not host.refusal:
+        assert host.bytes_of(state) == b""
+        assert host.setFMUState(state) == OK
+    assert len(host.said) == 1
+    assert host.get() == before
+    assert host.doStep(H, H) == OK
 
 
 def test_a_step_past_the_stop_time_is_refused(host):
@@ -129,3 +155,42 @@ def test_a_plant_whose_solution_leaves_the_finite_numbers_discards_the_step_and_
         assert plant.doStep(0.0, 1.0) == DISCARD
         assert plant.get() == before
         assert plant.doStep(0.0, 1e-6) == OK
+
+
+@pytest.mark.parametrize(("name", "value"), [("joint_stiffness", 1e12), ("noise_std", 1e300)])
+def test_parameters_of_sizes_that_no_design_can_take_discard_the_step_and_the_instance_lives(host, name, value):
+    host.begin(**{name: value})
+    assert host.doStep(0.0, H) == DISCARD
+    assert "expected each to show in an output" in host.said[-1]
+    assert host.reset() == OK
+    host.begin()
+    assert host.doStep(0.0, H) == OK
+
+
+@pytest.mark.parametrize("part", ["Plant", "Observer"])
+def test_equations_without_a_real_value_are_no_fatal_error(part, tmp_path):
+    """A fractional power of a negative number is complex in Python, of which math.sin makes a TypeError."""
+    model = Model(
+        name="Vessel",
+        states=["level", "flow"],
+        inputs=["pump"],
+        outputs=["level"],
+        disturbances=["leak"],
+        A=[[0, 1], [0, -1]],
+        B=[[0], [1]],
+        C=[[1, 0]],
+        G_d=[[0], [1]],
+        f=lambda x, u, p: [sympy.sin((p.height + sympy.sin(x.level)) ** sympy.Rational(3, 2))],
+        parameters={"height": 3.0},
+        lipschitz=4.0,
+        disturbance_bound=1.0,
+        x0=[-1.0, 0.0],
+    )
+    build(model, tmp_path)
+    with opened(tmp_path / f"Vessel{part}.fmu") as instance:
+        instance.begin(height=-3.0)
+        if part == "Observer":
+            assert instance.set("level", -1.0) == OK
+        assert instance.doStep(0.0, H) == DISCARD
+        (message,) = instance.said
+        assert "expected numbers that can be computed with" in message

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +25,9 @@ from ndob_fmu.runtime.hold import History
 from ndob_fmu.runtime.plant import PlantState
 
 H = 1e-3
+# What ndob_fmu/fmu/front/state.c writes before the slave's bytes: magic, FMU, size, hash, mode, experiment, time.
+HEAD_FIELDS = struct.Struct("<8sQQQIId")
+HEAD = HEAD_FIELDS.size
 PAPER = {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.02}
 
 
@@ -212,3 +218,89 @@ def test_bytes_name_only_the_states_that_the_slave_has():
     data = to_bytes(Snapshot("module.Slave", (), {}, None, PlantState(1.0, 2.0, 3.0), True, False, 0.0, None, 0.0, 0.0))
     with pytest.raises(NdobError, match="FMU state: expected the bytes of a state of this FMU, received 'PlantState'"):
         from_bytes(data, (History,))
+
+
+def _plain_snapshot(**changes):
+    whole = {
+        "slave": "module.Slave",
+        "values": (1.0, 2.0),
+        "refused": {},
+        "started_with": (2.0,),
+        "core": None,
+        "initializing": False,
+        "stale": False,
+        "start_time": 0.0,
+        "stop_time": None,
+        "time": 0.1,
+        "step_size": 1e-3,
+    }
+    return Snapshot(**(whole | changes))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"slave": 1.0},
+        {"values": 3.0},
+        {"refused": ()},
+        {"refused": {"first": "why"}},
+        {"started_with": "text"},
+        {"time": None},
+        {"stop_time": "late"},
+        {"initializing": 0.5},
+    ],
+)
+def test_bytes_with_a_right_checksum_and_wrong_contents_are_no_state(wrong):
+    assert from_bytes(to_bytes(_plain_snapshot()), ()) == _plain_snapshot()
+    with pytest.raises(
+        NdobError, match="FMU state: expected the bytes of a state of this FMU, received something else"
+    ):
+        from_bytes(to_bytes(_plain_snapshot(**wrong)), ())
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"1", b"{}", b'{"state":["Snapshot"]}', b'{"array":["|O",[1],""]}', b"[" * 10**5]
+)
+def test_bytes_with_a_right_checksum_that_no_snapshot_was_made_into_are_no_state(content):
+    with pytest.raises(NdobError, match="FMU state: expected the bytes of a state of this FMU"):
+        from_bytes(hashlib.sha256(content).digest() + content, ())
+
+
+def forged(data, **changes):
+    """The bytes of a state with other contents, and the checksums of front and slave that go with these."""
+    head, content = data[:HEAD], json.loads(data[HEAD + 32 :])
+    fields = [field.name for field in dataclasses.fields(Snapshot)]
+    for name, change in changes.items():
+        place = 1 + fields.index(name)
+        content["state"][place] = change(content["state"][place])
+    text = json.dumps(content, separators=(",", ":")).encode()
+    inner = hashlib.sha256(text).digest() + text
+    magic, fmu, _, _, *progress = HEAD_FIELDS.unpack(head)
+    progress_bytes = head[32:]
+    check = 0xCBF29CE484222325
+    for byte in progress_bytes + inner:
+        check = (check ^ byte) * 0x100000001B3 % 2**64
+    return HEAD_FIELDS.pack(magic, fmu, len(inner), check, *progress) + inner
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"started_with": lambda value: {"tuple": [0.0] * len(value["tuple"])}},
+        {"started_with": lambda value: {"tuple": value["tuple"][1:]}},
+        {"values": lambda value: {"tuple": [*value["tuple"], 0.0]}},
+        {"refused": lambda value: {"map": [[999, "why"]]}},
+    ],
+    ids=["no design", "a parameter less", "a variable more", "a reference that is none"],
+)
+def test_a_state_that_no_instance_can_have_had_leaves_the_instance_as_it_was(flexible_joint, changes):
+    with unpacked(flexible_joint.observer) as instance:
+        one, twin = instance(), instance()
+        for each in (one, twin):
+            each.begin()
+            each.step(0.0, H, **sample(0.0))
+        status, state = one.from_bytes(forged(one.bytes_of(one.state()), **changes))
+        assert status == OK
+        assert one.setFMUState(state) == ERROR
+        assert len(one.said) == 1
+        assert one.step(H, H, **sample(H)) == twin.step(H, H, **sample(H))

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from clean_process import run_clean
 from fmi_instance import OK, unpacked
 from problems import MODELS
 
@@ -140,3 +141,31 @@ print(json.dumps([hasattr(of_this_name, "THIS_IS"), rows]))
     ours, expected = run_with(Path(__file__).parents[1])
     assert (of_others, ours) == (True, False)
     assert rows == expected
+
+
+GLOBALS = """
+import gc, sys
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+
+description = read_model_description(sys.argv[1])
+identifier = description.coSimulation.modelIdentifier
+folder = extract(sys.argv[1], sys.argv[2])
+for i in range(20):
+    fmu = FMU2Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=identifier, instanceName=str(i))
+    fmu.instantiate()
+    fmu.freeInstance()
+held = next(vars(module) for name, module in sys.modules.items() if name.startswith(f"{identifier}_"))
+
+def counted_beside_owners(what):
+    return sys.getrefcount(what) - len(gc.get_referrers(what))
+
+print(counted_beside_owners(held) - counted_beside_owners({"a dictionary": ["as sound as any"]}))
+"""
+
+
+def test_the_code_of_an_fmu_has_all_the_references_that_are_counted_on_after_many_instances(fmus, tmp_path):
+    """With fewer the process crashes at its end, after a correct run."""
+    done = run_clean(GLOBALS, fmus[1], tmp_path / "unpacked", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) == 0

@@ -133,16 +133,6 @@ def test_fmpy_ends_with_code_zero_every_time(flexible_joint):
     assert codes == [0] * 5
 
 
-def test_getting_and_setting_all_of_the_observer_takes_less_than_ten_microseconds(observer):
-    inputs = ("motor_torque", "motor_angle", "link_angle")
-    with_std = [f"{name}{suffix}" for name, suffix in (("load_torque", "_hat"), ("load_torque", "_at_sample"))]
-    states = [f"{state}_hat" for state in ("link_angle", "link_rate", "motor_angle", "motor_rate")]
-    outputs = (*states, *with_std, "load_torque_std", "motor_angle_residual", "link_angle_residual")
-    read = f"{observer.references(*outputs)} {observer.references('valid')}"
-    done = observer.run(*STEP, f"cost 2000 {observer.references(*inputs)} {read}")
-    assert float(done.replies[-1].split()[0]) < 10.0
-
-
 def test_two_threads_step_two_instances_to_the_bits_of_one(observer):
     outputs = observer.references("link_angle_hat", "motor_rate_hat", "load_torque_hat")
     inputs = observer.references("motor_angle", "link_angle")

@@ -15,6 +15,7 @@ from ndob_fmu import runtime
 from ndob_fmu.shipped import shipped_folder
 
 _RUNTIME = Path(runtime.__file__).parent
+START_VALUES = "start_values.json"  # fmus/slave_start_values.py reads it
 
 
 @dataclass(frozen=True)
@@ -42,18 +43,17 @@ def bundle(
         return text.replace("ndob_fmu.runtime", package).replace("from fmus.", f"from {package}.")
 
     files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
+    files[START_VALUES] = "{}\n"
     if arguments:
         files[f"{data}.py"] = renamed(data_text)
     modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
-        # pythonfmu's binary runs this once more for every instance, and each time keeps what it finds and gives up
-        # one reference too many to the globals: without one to spare these are freed, and the next crashes the host.
+        # pythonfmu's binary runs this once more for every instance.
         f'if "{class_name}" in globals():\n'
         f'    {class_name} = globals()["{class_name}"]\n'
-        f"    SPARE.append(globals())\n"
+        f"    slave_entry.add_reference(globals())\n"
         f"else:\n"
-        f"    SPARE = []\n\n"
         # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
         # by the time another FMU of the process asks for the rest.
         f"    from {package} import {modules}\n"

@@ -128,7 +128,10 @@ def predicted_error(design: SampledDesign, rate: Array) -> tuple[Array, Array]:
 
 
 def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
-    """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise."""
+    """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise.
+
+    Raises DesignError where no output sees it, as with parameters of such sizes that all is lost in rounding.
+    """
     A_norm = float(np.linalg.norm(linear.A, 2))
     largest = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C), 2) * np.linalg.norm(channel))
     for degree in range(1, len(linear.A) + 1):
@@ -136,7 +139,12 @@ def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tupl
         if gain > 1e-12 * largest * max(A_norm, 1e-300) ** (degree - 1):
             return degree, gain
         channel = linear.A @ channel
-    raise AssertionError("a channel that no output sees has passed the assumptions")
+    raise DesignError.report(
+        "unknown inputs",
+        expected="each to show in an output",
+        received="one that shows in none",
+        likely="parameters of sizes that are out of proportion",
+    )
 
 
 def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
