@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -80,7 +81,7 @@ def test_every_run_is_a_row_that_is_what_simulate_gives(walk):
         assert row["wall_time"] > 0.0
 
 
-def test_a_study_goes_on_where_it_was_stopped_and_redoes_nothing(walk, cluster, tmp_path):
+def test_a_study_goes_on_where_it_was_stopped_and_redoes_nothing(walk, cluster, tmp_path, capsys):
     study, folder, _ = walk
     results = tmp_path / "results"
     (results / "shards").mkdir(parents=True)
@@ -92,8 +93,11 @@ def test_a_study_goes_on_where_it_was_stopped_and_redoes_nothing(walk, cluster, 
         b"half a file of a killed command"
     )
     before = set(read_runs(results)["run"].to_pylist())
-    tally = sweep(study, results, scheduler=cluster[0])
+    capsys.readouterr()
+    tally = sweep(study, results, scheduler=cluster[0], progress=True)
     assert tally.done == 24 - len(before)
+    last = capsys.readouterr().err.split("\r")[-1]
+    assert re.search(r"100%.* 24/24 \[\d\d:\d\d<\d\d:\d\d, .*(run/s|s/run)\]", last), last
     for shard in kept:
         assert (results / "shards" / shard.name).read_bytes() == shard.read_bytes()
     assert [path for path in (results / "shards").iterdir() if not path.name.startswith("runs_")] == []
@@ -236,6 +240,15 @@ def test_a_study_survives_kill_9_of_a_worker_and_of_the_command_and_loses_no_fin
     assert not [p for p in (results / "shards").iterdir() if not p.name.startswith("runs_")]
     assert (results / "heat_map.png").exists() is False  # one parameter makes no map
     assert json.loads((results / "summary.json").read_text("utf-8"))["finished"] == 60
+
+
+def test_a_script_that_is_its_own_worker_is_told_so_in_one_line(fmus, tmp_path):
+    path = write(tmp_path, "walk", WALK, fmus)
+    program = f"from ndob_fmu.study import *; sweep(read_study({str(path)!r}), {str(tmp_path / 'r')!r}, workers=1)"
+    (tmp_path / "script.py").write_text(program)
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "outside of `if __name__" in done.stderr.splitlines()[-1]
 
 
 def test_ctrl_c_says_how_to_go_on(fmus, tmp_path):

@@ -65,7 +65,8 @@ def sweep(
         return Tally(0, 0, 0.0, 0)
     with connected(workers, scheduler) as client, _bar(store, progress) as bar:
         plugin = StudyPlugin(study, own=scheduler is None)
-        client.register_plugin(plugin)
+        with _talking():
+            client.register_plugin(plugin)
         try:
             began = time.perf_counter()
             crew = _Crew(client, plugin.name, study.points)

@@ -8,7 +8,7 @@ import signal
 import tempfile
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -86,18 +86,30 @@ def connected(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         # Workers that are killed leave their files behind; these go with the folder.
         with (
             tempfile.TemporaryDirectory(prefix="ndob_fmu_", ignore_cleanup_errors=True) as folder,
-            LocalCluster(
-                n_workers=workers or os.cpu_count() or 1,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=":0",
-                local_directory=folder,
-                env={"TMPDIR": folder},
-                silence_logs=logging.CRITICAL,
-            ) as cluster,
-            Client(cluster) as client,
+            ExitStack() as stack,
         ):
-            yield client
+            yield _local(workers or os.cpu_count() or 1, folder, stack)
+
+
+def _local(workers: int, folder: str, stack: ExitStack) -> Client:
+    try:
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=":0",
+            local_directory=folder,
+            env={"TMPDIR": folder},
+            silence_logs=logging.CRITICAL,
+        )
+        return stack.enter_context(Client(stack.enter_context(cluster)))
+    except (OSError, RuntimeError, TimeoutError) as error:
+        raise SimulationError.report(
+            "workers",
+            expected=f"{workers} processes that start on this machine",
+            received=" ".join(str(error).split())[:200],
+            likely='too little memory, or a script that calls sweep outside of `if __name__ == "__main__":`',
+        ) from error
 
 
 @contextmanager
