@@ -16,6 +16,7 @@ from ndob_fmu.study import read_study
 from ndob_fmu.study.measures import TAKES, Measure
 from ndob_fmu.study.points import Points, Range, grid, latin_hypercube, listed, random
 from ndob_fmu.study.session import Session
+from ndob_fmu.study.store import Store, read_runs
 
 
 @pytest.fixture(scope="session")
@@ -144,6 +145,40 @@ def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_
     assert [row["failed"] for row in rows] == [False, True, False, True, False]
     assert len(loaded) == 2
     assert not any(folder.exists() for folder in loaded)
+
+
+def test_whatever_a_run_dies_of_is_the_reason_of_that_run_only(fmus, tmp_path, monkeypatch):
+    study = read_study(write(tmp_path, "walk", WALK, fmus))
+    session = Session(study, {study.system: Path(study.system)})
+
+    def broken(*_):
+        raise OSError("access violation reading 0x0")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(FmuComponent, "step", broken)
+        assert session.run(3)["reason"] == "OSError: access violation reading 0x0"
+    assert session.run(4)["failed"] is False
+    session.close()
+
+
+def test_failed_runs_that_are_done_again_take_no_other_run_of_their_shard_away(fmus, tmp_path):
+    study = read_study(write(tmp_path, "walk", WALK, fmus))
+
+    def row(run, failed):
+        return {"run": run, **study.points[run], "end": float(run), "least": 0.0, "failed": failed, "wall_time": 0.1}
+
+    store = Store(tmp_path / "r", study)
+    store.save([row(run, run in (0, 4)) for run in range(5)])
+    store = Store(tmp_path / "r", study)
+    assert np.flatnonzero(store.failed).tolist() == [0, 4]
+    store.forget_failures()
+    assert np.flatnonzero(store.finished).tolist() == [1, 2, 3]
+    store.save([row(0, False), row(4, True)])
+    store = Store(tmp_path / "r", study)
+    assert np.flatnonzero(store.finished).tolist() == [0, 1, 2, 3, 4]
+    assert np.flatnonzero(store.failed).tolist() == [4]
+    rows = read_runs(tmp_path / "r").to_pylist()
+    assert [(row["run"], row["failed"]) for row in rows] == [(0, False), (1, False), (2, False), (3, False), (4, True)]
 
 
 def test_the_example_study_is_one(flexible_joint, tmp_path):

@@ -14,6 +14,7 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from coupling_fmus import coupling_fmus
+from distributed import Client
 from study_files import SLOW, WALK, start, wait_for, workers_of, write
 
 from ndob_fmu.cli import main
@@ -79,6 +80,12 @@ def test_every_run_is_a_row_that_is_what_simulate_gives(walk):
         assert row["least"] == min(recording["Integrator.y"][late] - recording["Integrator.half"][late])
         assert row["reason"] is None
         assert row["wall_time"] > 0.0
+
+
+def test_a_study_takes_its_things_from_the_workers_when_it_is_done(walk, cluster):
+    with Client(cluster[0]) as client:
+        plugins = client.run(lambda dask_worker: [name for name in dask_worker.plugins if "ndob" in name])
+        assert list(plugins.values()) == [[], []]
 
 
 def test_a_study_goes_on_where_it_was_stopped_and_redoes_nothing(walk, cluster, tmp_path, capsys):

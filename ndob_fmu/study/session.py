@@ -48,15 +48,19 @@ class Session:
         began = time.perf_counter()
         row: dict[str, Any] = {RUN: run, **point, FAILED: False}
         try:
-            recording = self._simulate(dict(point))
+            row |= self._kept(self._simulate(dict(point)))
         except NdobError as error:
             row |= {FAILED: True, REASON: str(error)[:_MOST_OF_A_REASON]}
-        else:
-            row |= {name: measure(recording) for name, measure in self._study.measures.items()}
-            if self._study.record:
-                row |= {TIME: recording.time.tolist()}
-                row |= {over_time(name): recording[name].tolist() for name in self._study.record}
+        except Exception as error:  # whatever a run dies of concerns this run only
+            row |= {FAILED: True, REASON: f"{type(error).__name__}: {error}"[:_MOST_OF_A_REASON]}
         return row | {WALL_TIME: time.perf_counter() - began}
+
+    def _kept(self, recording: Recording) -> dict[str, Any]:
+        kept: dict[str, Any] = {name: measure(recording) for name, measure in self._study.measures.items()}
+        if self._study.record:
+            kept[TIME] = recording.time.tolist()
+            kept |= {over_time(name): recording[name].tolist() for name in self._study.record}
+        return kept
 
     def _simulate(self, point: dict[str, Any]) -> Recording:
         step = {STEP_SIZE: float(point.pop(STEP_SIZE))} if STEP_SIZE in point else {}

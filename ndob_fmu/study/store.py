@@ -37,7 +37,7 @@ class Store:
         self.folder = folder
         self._schema = _schema(study)
         self.finished = np.zeros(len(study.points), dtype=np.bool_)
-        self.failed = np.zeros(len(study.points), dtype=np.bool_)
+        self._succeeded = np.zeros(len(study.points), dtype=np.bool_)
         plan = folder / _PLAN
         if plan.exists():
             _require_same(plan, study)
@@ -46,23 +46,36 @@ class Store:
         for path in (folder / _SHARDS).glob(".runs_*"):  # of a command that was killed while it wrote
             path.unlink()
         for path in _shards(folder):
-            table = _read(path, [RUN, FAILED])
-            runs = table[RUN].to_numpy()
-            self.finished[runs] = True
-            self.failed[runs] = table[FAILED].to_numpy()
+            self._count(_read(path, [RUN, FAILED]))
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which runs have failed, (runs,)."""
+        return self.finished & ~self._succeeded
 
     def save(self, rows: Sequence[dict[str, Any]]) -> None:
         """Keep finished runs for good; raise UsageError if they cannot be written, and keep those before."""
         table = pa.Table.from_pylist(sorted(rows, key=lambda row: int(row[RUN])), schema=self._schema)
         runs = table[RUN].to_numpy()
-        with atomic_path(self.folder / _SHARDS / f"runs_{runs[0]:08d}_{runs[-1]:08d}.parquet") as temporary:
+        stem = f"runs_{runs[0]:08d}_{runs[-1]:08d}"
+        # Failed runs that are done again may begin and end like a shard that has others between them.
+        path = self.folder / _SHARDS / f"{stem}.parquet"
+        again = 0
+        while path.exists():
+            again += 1
+            path = path.with_name(f"{stem}_{again}.parquet")
+        with atomic_path(path) as temporary:
             pq.write_table(table, temporary)
-        self.finished[runs] = True
-        self.failed[runs] = table[FAILED].to_numpy()
+        self._count(table)
 
     def forget_failures(self) -> None:
         """Have the failed runs done again; their new rows take the place of the old ones."""
-        self.finished &= ~self.failed
+        self.finished &= self._succeeded
+
+    def _count(self, table: pa.Table) -> None:
+        runs, failed = table[RUN].to_numpy(), table[FAILED].to_numpy()
+        self.finished[runs] = True
+        self._succeeded[runs[~failed]] = True
 
 
 def read_plan(folder: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from distributed import Client, Future, wait
+from distributed import Client, Future, TimeoutError, wait  # noqa: A004 # Python 3.10's own is another one
 from tqdm import tqdm
 
 from ndob_fmu.errors import NdobError, SimulationError

@@ -7,13 +7,14 @@ import os
 import signal
 import tempfile
 import threading
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, Worker, WorkerPlugin, get_worker
+from distributed import Client, LocalCluster, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
 
 from ndob_fmu.errors import SimulationError, UsageError
 from ndob_fmu.study.description import Study
@@ -24,8 +25,6 @@ _CONFIGURATION = {
     "distributed.comm.timeouts.connect": "5s",
     # A run that ends its worker is tried on one more before it counts as failed.
     "distributed.scheduler.allowed-failures": 1,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.target": False,
 }
 
 
@@ -34,7 +33,7 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
 
     def __init__(self, study: Study, *, own: bool) -> None:
         """Take the study; own: the workers are of this command's making."""
-        self.name = f"ndob-fmu-{study.digest}"
+        self.name = f"ndob-fmu-{uuid.uuid4().hex}"  # two commands may share a scheduler
         self._study = study
         self._own = own
 
