@@ -358,6 +358,22 @@ def test_the_program_returns_the_exit_code_and_prints_no_traceback(files):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("package", "words", "extra"),
+    [
+        ("distributed", ["sweep", "s.toml"], "study"),
+        ("pyarrow", ["sweep", "s.toml"], "study"),
+        ("plotly", ["report", "."], "report"),
+    ],
+)
+def test_a_command_whose_extra_is_not_installed_says_how_to_get_it(package, words, extra):
+    program = f"import sys; sys.modules[{package!r}] = None; from ndob_fmu.cli import main; sys.exit(main({words!r}))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f'pip install "ndob-fmu[{extra}]"' in done.stderr
+
+
 def test_the_program_tells_its_version_and_its_commands():
     assert run("--version").stdout.strip() == ndob_fmu.__version__
     shown = run("--help").stdout
