@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench regression exits soak tools clean
+.PHONY: demo test build lint bench docs regression exits soak tools clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -22,6 +22,10 @@ bench: .venv/installed-test
 	$(BIN)/python -m benchmarks.accuracy
 	$(BIN)/python -m benchmarks.disturbance_rejection
 	$(BIN)/python -m benchmarks.native_calls
+
+docs: .venv/installed-test build
+	$(BIN)/python docs/fmu_reference.py build/fmus
+	$(BIN)/sphinx-build -W -n --keep-going docs build/docs
 
 regression: .venv/installed-test build
 	$(BIN)/python fmus/regression.py build/fmus

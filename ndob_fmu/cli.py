@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from ndob_fmu import __version__
 from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.extras import extra
 
 _BUILD = Path("build")
 _DEMO_MODEL = "flexible_joint"
@@ -121,33 +122,74 @@ def _build_demo() -> Path:
 def _simulate(options: argparse.Namespace) -> int:
     from ndob_fmu.cosim import simulate
     from ndob_fmu.results import write_csv
+    from ndob_fmu.run_folder import simulate_into
 
     if options.demo == (options.system is not None):
         raise UsageError.report(
             "simulate", expected="either the path of a system or --demo", received="both" if options.demo else "neither"
         )
-    recording = simulate(
-        _build_demo() if options.demo else options.system,
-        start_time=options.start_time,
-        stop_time=options.stop_time,
-        step_size=options.step_size,
-        output_interval=options.output_interval,
-        start_values=_pairs(options.start_values),
-        input_file=options.input_file,
-        scheme=options.scheme,
-        order=options.order,
-    )
+    settings = {
+        "start_time": options.start_time,
+        "stop_time": options.stop_time,
+        "step_size": options.step_size,
+        "output_interval": options.output_interval,
+        "start_values": _pairs(options.start_values),
+        "input_file": options.input_file,
+        "scheme": options.scheme,
+        "order": options.order,
+    }
+    system = _build_demo() if options.demo else options.system
+    if options.results is None:
+        recording = simulate(system, **settings)
+    else:
+        recording = simulate_into(options.results, system, **settings)
     span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
     rows = f"{len(recording.time)} rows of {len(recording.names)} signals, {span}"
     if options.output_file is not None:
         write_csv(options.output_file, recording)
         print(f"{options.output_file}: {rows}")
+    elif options.results is not None:
+        print(f"{options.results}: {rows}; `ndob-fmu report {options.results}` makes a page of them")
     else:
-        print(f"{rows}; --output-file FILE keeps them")
+        print(f"{rows}; --output-file FILE or --results DIR keeps them")
     if options.show_plot:
         from ndob_fmu import plots
 
         plots.show(recording)
+    return 0
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    with extra("study"):
+        from ndob_fmu.study import read_study, sweep
+        from ndob_fmu.study.figures import draw
+        from ndob_fmu.study.summary import as_text, summarize
+
+    study = read_study(options.study)
+    folder = options.out or Path("results", study.name)
+    try:
+        tally = sweep(
+            study,
+            folder,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            retry_failed=options.retry_failed,
+        )
+    except KeyboardInterrupt:
+        print(f"\nndob-fmu: interrupted; finished runs are in {folder}, the same command goes on", file=sys.stderr)
+        return 130
+    summary = summarize(folder, tally)
+    print(as_text(summary))
+    names = ["runs.csv", "summary.json", *(f"{path.stem}.png and .svg" for path in draw(folder))]
+    print(f"Look at {folder}: {', '.join(names)}; `ndob-fmu report {folder}` makes a page of it.")
+    return 0 if summary["failed"] == 0 else 1
+
+
+def _report(options: argparse.Namespace) -> int:
+    with extra("report"):
+        from ndob_fmu.report import write_report
+
+    print(write_report(options.results, options.out))
     return 0
 
 
@@ -179,6 +221,16 @@ def _pairs(words: Sequence[str]) -> dict[str, str]:
             "--start-values", expected="pairs NAME VALUE", received=f"{len(words)} words", likely="a value is missing"
         )
     return dict(zip(words[::2], words[1::2], strict=True))
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise ValueError
+    return number
+
+
+_positive.__name__ = "whole number of 1 or more"  # what argparse calls it
 
 
 def _json(data: Any) -> str:
@@ -251,6 +303,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--input-file", type=Path, help="CSV of inputs, columns component.variable")
     sub.add_argument("--output-file", type=Path, help="CSV to write")
+    sub.add_argument("--results", type=Path, metavar="DIR", help="folder for CSV, summary and figures (PNG and SVG)")
     sub.add_argument(
         "--scheme", choices=["jacobi", "gauss-seidel", "extrapolation"], default="jacobi", help="coupling (%(default)s)"
     )
@@ -258,6 +311,17 @@ def _parser() -> argparse.ArgumentParser:
         "--order", nargs="+", metavar="COMPONENT", help="order of gauss-seidel (default: that of the system)"
     )
     sub.add_argument("--show-plot", action="store_true", help="open a window with the signals")
+
+    sub = command("sweep", _sweep, "Do a parameter study on many workers; goes on where an earlier call was stopped.")
+    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="what to run and to vary: docs/studies.md")
+    sub.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: results/NAME OF STUDY)")
+    sub.add_argument("--workers", type=_positive, metavar="N", help="processes on this machine (default: one per core)")
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="a running dask scheduler instead, as tcp://HOST:8786")
+    sub.add_argument("--retry-failed", action="store_true", help="do the failed runs again")
+
+    sub = command("report", _report, "Make one HTML page, which works offline, of the results of a run or a study.")
+    sub.add_argument("results", type=Path, metavar="RESULTS_DIR", help="folder of a run, of the demo or of a study")
+    sub.add_argument("--out", type=Path, metavar="FILE", help="page to write (default: RESULTS_DIR/report.html)")
 
     sub = command("demo", _demo, "Run the paper's example and write its figures.")
     sub.add_argument(

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu import __version__, plots
+from ndob_fmu import plots
 from ndob_fmu.cosim import simulate
 from ndob_fmu.results import Recording, write_csv, write_json
+from ndob_fmu.run_folder import describe
 
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 DISTURBANCE = "load_torque"
@@ -86,8 +85,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
     shown, peaking = verdict(recording), start_up(pi_ramp_time=0.0)
     everyday = start_up(method=_SAMPLED_DATA)
     summary = {
-        "step_size": float(recording.time[1] - recording.time[0]),
-        "stop_time": float(recording.time[-1]),
+        **describe(system, recording, overrides.get("start_values")),
         "method": "paper",
         **shown.to_dict(),
         "peak_estimate_without_schedule": float(np.abs(peaking.estimate).max()),
@@ -97,11 +95,6 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
             "final_disturbance_error": float(everyday.error[-1]),
         },
         "wall_time": wall_time,
-        "versions": {
-            "python": platform.python_version(),
-            "ndob-fmu": __version__,
-            **{name: version(name) for name in ("fmpy", "pythonfmu", "numpy")},
-        },
     }
     write_csv(results / "result.csv", recording)
     label = "load torque [N·m]"

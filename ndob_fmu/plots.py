@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ndob_fmu.errors import UsageError
 from ndob_fmu.results import Recording, atomic_path
 
 Array = NDArray[np.float64]
@@ -25,6 +26,8 @@ _STYLE: Any = {
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
     "savefig.dpi": 150,
+    "svg.fonttype": "none",  # text stays text, which a paper's editor can change
+    "svg.hashsalt": "ndob-fmu",  # the same figure gives the same bytes
 }
 
 
@@ -32,7 +35,7 @@ def plot_disturbance(
     path: Path, time: Array, true: Array, estimate: Array, *, label: str, settled_at: float | None
 ) -> None:
     """Write figure 1: the disturbance and its estimate over time in s, and below it their difference."""
-    with _figure(path, rows=2) as (above, below):
+    with figure(path, rows=2) as (above, below):
         above.plot(time, true, "k--", linewidth=1.2, label="true")
         above.plot(time, estimate, color="C0", label="estimate")
         above.set_ylabel(label)
@@ -47,7 +50,7 @@ def plot_disturbance(
 
 def plot_state_error(path: Path, time: Array, error_norm: Array) -> None:
     """Write figure 2: the norm of the state's estimation error, linear above and logarithmic below."""
-    with _figure(path, rows=2) as (above, below):
+    with figure(path, rows=2) as (above, below):
         above.plot(time, error_norm, color="C1")
         above.set_ylabel("‖x − x̂‖")
         above.set_title("Norm of the state estimation error")
@@ -58,7 +61,7 @@ def plot_state_error(path: Path, time: Array, error_norm: Array) -> None:
 
 def plot_peaking(path: Path, scheduled: tuple[Array, Array], at_once: tuple[Array, Array], *, label: str) -> None:
     """Write figure 3: |d̂| with π raised along its schedule and with its final value from the start."""
-    with _figure(path, rows=1) as (axes,):
+    with figure(path, rows=1) as (axes,):
         for (time, estimate), text, color in (
             (at_once, "final π from the start", "C3"),
             (scheduled, "π raised along the schedule", "C0"),
@@ -75,7 +78,7 @@ def plot_peaking(path: Path, scheduled: tuple[Array, Array], at_once: tuple[Arra
 
 def plot_start_up(path: Path, errors: Mapping[str, tuple[Array, Array]], *, label: str) -> None:
     """Write figure 4: |d̂ − d| from the first step on, each entry (time in s, error) under its name."""
-    with _figure(path, rows=1) as (axes,):
+    with figure(path, rows=1) as (axes,):
         for (text, (time, error)), color in zip(errors.items(), ("C3", "C0", "C2"), strict=True):
             axes.loglog(time[1:], np.maximum(error[1:], 1e-12), color=color, label=text)
         axes.set_xlabel("time [s]")
@@ -84,20 +87,49 @@ def plot_start_up(path: Path, errors: Mapping[str, tuple[Array, Array]], *, labe
         axes.legend(loc="upper right")
 
 
+def plot_signals(path: Path, recording: Recording) -> None:
+    """Write a figure of every signal over time in s, one panel for each component and unit."""
+    panels = _panels(recording)
+    with figure(path, len(panels), height=1.0 + 1.8 * len(panels)) as rows:
+        _draw(rows, panels, recording)
+
+
 def show(recording: Recording) -> None:
-    """Open a window with every recorded signal, one row per component."""
+    """Open a window with every signal over time in s, one panel for each component and unit.
+
+    Raises UsageError where there is no screen.
+    """
     import matplotlib.pyplot as plt  # only here: it looks for a screen
 
-    components = sorted({name.split(".")[0] for name in recording.names})
-    _, rows = plt.subplots(len(components), squeeze=False, sharex=True, layout="constrained")
-    for axes, component in zip(rows[:, 0], components, strict=True):
-        for name in recording.names:
-            if name.startswith(f"{component}."):
-                axes.plot(recording.time, recording[name], label=name.removeprefix(f"{component}."))
-        axes.set_title(component)
-        axes.legend(fontsize="small")
-    rows[-1, 0].set_xlabel("time [s]")
-    plt.show()
+    if plt.get_backend().lower() == "agg":
+        raise UsageError.report(
+            "--show-plot", expected="a screen", received="none", likely="`--results DIR` writes the figure to a file"
+        )
+    panels = _panels(recording)
+    with mpl.rc_context(_STYLE):
+        _, rows = plt.subplots(
+            len(panels), squeeze=False, sharex=True, figsize=(9.0, min(9.0, 1.0 + 1.8 * len(panels)))
+        )
+        _draw(rows[:, 0], panels, recording)
+        plt.show()
+
+
+def _panels(recording: Recording) -> dict[tuple[str, str], list[str]]:
+    """Return the signals of each component and unit, in the order of the recording."""
+    panels: dict[tuple[str, str], list[str]] = {}
+    for name in recording.names:
+        component = name.partition(".")[0] if "." in name else ""
+        panels.setdefault((component, recording.units.get(name, "")), []).append(name)
+    return panels
+
+
+def _draw(rows: Iterable[Axes], panels: Mapping[tuple[str, str], Sequence[str]], recording: Recording) -> None:
+    for axes, ((component, unit), names) in zip(rows, panels.items(), strict=True):
+        for name in names:
+            axes.plot(recording.time, recording[name], linewidth=1.0, label=name.removeprefix(f"{component}."))
+        axes.set_ylabel(f"{component} [{unit.replace('.', '·') or '1'}]")
+        axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.set_xlabel("time [s]")
 
 
 def _log_magnitude(axes: Axes, time: Array, value: Array, color: str = "C0") -> None:
@@ -105,10 +137,18 @@ def _log_magnitude(axes: Axes, time: Array, value: Array, color: str = "C0") -> 
 
 
 @contextmanager
-def _figure(path: Path, rows: int) -> Iterator[list[Axes]]:
+def figure(
+    path: Path, rows: int, columns: int = 1, *, width: float = 7.0, height: float | None = None
+) -> Iterator[list[Axes]]:
+    """Give axes, row by row, to draw into; write them as ``path``, a .png, and beside it as .svg.
+
+    width, height: in inches. Raises UsageError if a file cannot be written.
+    """
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(7.0, 2.4 + 2.0 * (rows - 1) + (1.0 if rows == 1 else 0.4)))
-        axes = figure.subplots(rows, squeeze=False, sharex=True)[:, 0]
-        yield list(axes)
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, metadata={"Software": None})
+        tall = 2.4 + 2.0 * (rows - 1) + (1.0 if rows == 1 else 0.4) if height is None else height
+        drawn = Figure(figsize=(width, tall))
+        axes = drawn.subplots(rows, columns, squeeze=False, sharex=columns == 1)
+        yield list(axes.flat)
+        for suffix, metadata in ((".png", {"Software": None}), (".svg", {"Date": None})):
+            with atomic_path(path.with_suffix(suffix)) as temporary:
+                drawn.savefig(temporary, metadata=metadata)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import math
+import platform
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu import __version__
 from ndob_fmu.errors import UsageError
 
 _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
@@ -25,13 +28,15 @@ class Recording:
     """Signals over time: row k of every array belongs to ``time[k]``.
 
     time: (rows,) in seconds. names: one per column, ``component.variable``. columns: (rows, len(names)), all as floats.
-    types: the FMI type of each column; empty means Real throughout. Raises UsageError if the shapes contradict.
+    types: the FMI type of each column; empty means Real throughout. units: of the columns that have one, by name.
+    Raises UsageError if the shapes contradict.
     """
 
     time: NDArray[np.float64]
     names: tuple[str, ...]
     columns: NDArray[np.float64]
     types: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     _position: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -144,3 +149,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def software_versions(*more: str) -> dict[str, str]:
+    """Return the versions of Python, of this package, of what every result depends on, and of the packages named."""
+    names = ("fmpy", "pythonfmu", "numpy", *more)
+    own = {"python": platform.python_version(), "ndob-fmu": __version__}
+    return own | {name: version(name) for name in names}

@@ -201,6 +201,46 @@ def test_simulate_couples_in_the_order_that_is_asked_for(flexible_joint, capsys)
     capsys.readouterr()
 
 
+def test_simulate_writes_a_folder_with_figures_and_how_it_came_about(flexible_joint, capsys):
+    words = ["--stop-time", "0.1", "--start-values", "observer.method", "sampled_data", "--results", "r"]
+    assert main(["simulate", str(flexible_joint.system), *words]) == 0
+    assert "r: 101 rows of" in capsys.readouterr().out
+    found = sorted(path.name for path in Path("r").iterdir())
+    assert found == ["result.csv", "signals.png", "signals.svg", "summary.json"]
+    summary = json.loads(Path("r/summary.json").read_text("utf-8"))
+    assert summary["parameters"]["observer.method"] == "sampled_data"
+    assert summary["parameters"]["plant.gravity_torque"] == 10.0
+    assert summary["units"]["plant.link_rate"] == "rad/s"
+    assert (summary["step_size"], summary["stop_time"], summary["scheme"]) == (1e-3, 0.1, "jacobi")
+    assert "plant [rad/s]" in Path("r/signals.svg").read_text("utf-8")
+
+
+def test_simulate_opens_a_window_with_units_and_legends(flexible_joint, capsys, monkeypatch):
+    from matplotlib import pyplot as plt
+
+    def show():
+        shown.update({axes.get_ylabel(): axes.get_legend_handles_labels()[1] for axes in plt.gcf().axes})
+        plt.close()
+
+    shown = {}
+    monkeypatch.setattr(plt, "get_backend", lambda: "tkagg")  # as where there is a screen
+    monkeypatch.setattr(plt, "show", show)
+    assert main(["simulate", str(flexible_joint.system), "--stop-time", "0.1", "--show-plot"]) == 0
+    capsys.readouterr()
+    assert shown["plant [rad/s]"] == ["link_rate", "motor_rate"]
+    assert shown["observer [N·m]"] == ["load_torque_hat", "load_torque_at_sample", "load_torque_std"]
+
+
+def test_a_window_where_there_is_no_screen_ends_in_one_line(flexible_joint, monkeypatch, capsys):
+    from matplotlib import pyplot as plt
+
+    monkeypatch.setattr(plt, "get_backend", lambda: "agg")
+    assert main(["simulate", str(flexible_joint.system), "--stop-time", "0.1", "--show-plot"]) == 2
+    err = capsys.readouterr().err
+    assert "--show-plot: expected a screen, received none" in err
+    assert err.count("\n") == 1
+
+
 # -- usage
 
 
@@ -330,10 +370,28 @@ def test_the_program_returns_the_exit_code_and_prints_no_traceback(files):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("package", "words", "extra"),
+    [
+        ("distributed", ["sweep", "s.toml"], "study"),
+        ("pyarrow", ["sweep", "s.toml"], "study"),
+        ("plotly", ["report", "."], "report"),
+    ],
+)
+def test_a_command_whose_extra_is_not_installed_says_how_to_get_it(package, words, extra):
+    program = f"import sys; sys.modules[{package!r}] = None; from ndob_fmu.cli import main; sys.exit(main({words!r}))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f'pip install "ndob-fmu[{extra}]"' in done.stderr
+
+
 def test_the_program_tells_its_version_and_its_commands():
     assert run("--version").stdout.strip() == ndob_fmu.__version__
     shown = run("--help").stdout
-    assert [word for word in ("check", "design", "build", "simulate", "demo") if word not in shown] == []
+    assert [
+        word for word in ("check", "design", "build", "simulate", "sweep", "report", "demo") if word not in shown
+    ] == []
 
 
 def test_output_into_a_closed_pipe_is_no_traceback():

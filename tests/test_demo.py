@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from ndob_fmu.cli import main
 from ndob_fmu.demo import run_demo, verdict
 from ndob_fmu.results import Recording
 
+PUBLISHED = ["fig1_disturbance.svg", "fig2_state_error.svg", "fig3_peaking.svg", "fig4_start_up.svg"]
 FIGURES = ["fig1_disturbance.png", "fig2_state_error.png", "fig3_peaking.png", "fig4_start_up.png"]
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 
@@ -42,7 +44,7 @@ def table(demo):
 
 def test_the_demo_leaves_the_fmus_the_systems_and_the_results(demo, shipped):
     found = sorted(str(path.relative_to(demo)) for path in demo.rglob("*") if path.is_file())
-    expected = [f"results/flexible_joint/{name}" for name in (*FIGURES, "result.csv", "summary.json")]
+    expected = [f"results/flexible_joint/{name}" for name in (*FIGURES, *PUBLISHED, "result.csv", "summary.json")]
     expected += [f"build/fmus/{path.name}" for path in shipped.fmus.glob("*.fmu")]
     expected += [f"build/ssp/{path.name}" for path in shipped.systems.iterdir()]
     assert found == sorted(str(Path(name)) for name in expected)
@@ -104,13 +106,29 @@ def test_the_figures_are_images_of_a_size_for_a_report(demo, name):
     assert 10_000 < len(data) < 300_000
 
 
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_the_figures_are_also_vectors_whose_labels_are_text_with_units(demo, name):
+    drawing = (demo / "results" / "flexible_joint" / name).read_text("utf-8")
+    assert drawing.startswith("<?xml")
+    assert re.search(r"<text[^>]*>time \[s\]</text>", drawing)
+    assert len(drawing) < 1_000_000
+
+
+def test_the_summary_has_every_parameter_and_unit(summary):
+    assert summary["parameters"]["observer.method"] == "paper"
+    assert summary["parameters"]["plant.disturbance.amplitude"] == 2.0
+    assert summary["units"]["plant.load_torque_total"] == "N.m"
+
+
 def test_a_shorter_run_leaves_out_what_it_cannot_know(flexible_joint, tmp_path):
     results = tmp_path / "new" / "folder"
     summary = run_demo(flexible_joint.system, results, stop_time=0.5, step_size=5e-3)
     assert summary["settling_time_2_percent"] is None
     assert summary["max_disturbance_error_from_12_s"] is None
     assert (summary["step_size"], summary["stop_time"]) == (5e-3, 0.5)
-    assert sorted(path.name for path in results.iterdir()) == sorted([*FIGURES, "result.csv", "summary.json"])
+    assert sorted(path.name for path in results.iterdir()) == sorted(
+        [*FIGURES, *PUBLISHED, "result.csv", "summary.json"]
+    )
     assert json.loads((results / "summary.json").read_text("utf-8")).keys() == summary.keys()
     assert len(read_csv(results / "result.csv")) == 101
 

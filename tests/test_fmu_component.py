@@ -251,6 +251,54 @@ def test_an_fmu_without_a_binary_for_this_platform_or_with_a_broken_one_says_so(
         simulate(broken, stop_time=1.0, step_size=0.5)
 
 
+def test_a_kept_fmu_is_instantiated_once_and_every_run_is_as_if_it_were_the_first(fmus, monkeypatch):
+    counts = count_calls(monkeypatch)
+    component = FmuComponent(fmus / "MassSpring.fmu", "mass")
+    fresh = FmuComponent(fmus / "MassSpring.fmu", "mass")
+
+    def run(part, **starts):
+        system = System({"mass": part}, (), {("mass", name): value for name, value in ({"force": 0} | starts).items()})
+        return simulate(system, stop_time=1.0, step_size=0.125).columns
+
+    with component.kept():
+        kept = [run(component), run(component, stiffness=9.0, force=2.0), run(component)]
+        assert counts == {"fmi2Instantiate": 1, "reset": 3, "freeInstance": 0}
+    assert counts["freeInstance"] == 1
+    np.testing.assert_array_equal(kept[0], run(fresh))
+    np.testing.assert_array_equal(kept[1], run(fresh, stiffness=9.0, force=2.0))
+    np.testing.assert_array_equal(kept[2], kept[0])
+    assert not np.array_equal(kept[1], kept[0])
+    assert counts["fmi2Instantiate"] == 3
+
+
+def count_calls(monkeypatch):
+    counts = {"fmi2Instantiate": 0, "reset": 0, "freeInstance": 0}
+    load = FmuComponent._load
+    monkeypatch.setattr(FmuComponent, "_load", lambda self, folder: (note("fmi2Instantiate"), load(self, folder))[1])
+
+    def note(name):
+        counts[name] += 1
+
+    for name in ("reset", "freeInstance"):
+        whole = getattr(fmpy.fmi2.FMU2Slave, name)
+        monkeypatch.setattr(fmpy.fmi2.FMU2Slave, name, lambda fmu, n=name, w=whole: (note(n), w(fmu))[1])
+    return counts
+
+
+def test_a_kept_fmu_that_fails_makes_room_for_a_new_one(fmus, monkeypatch):
+    counts = count_calls(monkeypatch)
+    bearing = FmuComponent(fmus / "Fragile.fmu", "bearing")
+    with bearing.kept():
+        for how, outcome in (("raise", "the bearing has seized"), ("", None), ("discard", "too long"), ("", None)):
+            system = System({"bearing": bearing}, (), {("bearing", "how"): how})
+            if outcome is None:
+                assert len(simulate(system, stop_time=1.0, step_size=0.5).time) == 3
+            else:
+                with pytest.raises(SimulationError, match=outcome):
+                    simulate(system, stop_time=1.0, step_size=0.5)
+    assert counts["fmi2Instantiate"] == 2  # again only after the fatal status
+
+
 def test_an_fmu_that_cannot_be_instantiated_says_so(fmus):
     system = System({"unlicensed": FmuComponent(fmus / "Fragile.fmu", "unlicensed")})
     with pytest.raises(SimulationError, match=r"component unlicensed at t = 0 s: expected an instance.*no licence"):

@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ndob_fmu"
 SLAVES = sorted((ROOT / "fmus").glob("*slave*.py"))
-HEAVY = ("scipy", "sympy", "fmpy", "pythonfmu", "matplotlib", "pint")
+HEAVY = ("scipy", "sympy", "fmpy", "pythonfmu", "matplotlib", "pint", "distributed", "pyarrow", "plotly", "jinja2")
 
 
 def name_of(path):
@@ -87,6 +87,23 @@ def test_the_model_knows_nothing_of_what_is_made_from_it():
         assert [imported for imported in imports(MODULES[name]) if within(imported, *later)] == []
     for name in ("ndob_fmu.assumptions", "ndob_fmu.design"):
         assert [imported for imported in imports(MODULES[name]) if within(imported, *later[2:])] == []
+
+
+@pytest.mark.parametrize(
+    ("package", "users"),
+    [("ndob_fmu.study", ("ndob_fmu.study", "ndob_fmu.report")), ("ndob_fmu.report", ("ndob_fmu.report",))],
+)
+def test_what_needs_an_extra_is_imported_by_the_commands_that_ask_for_it_only(package, users):
+    found = {name for name, path in MODULES.items() if any(within(i, package) for i in imports(path))}
+    assert {name for name in found if not within(name, *users)} == {"ndob_fmu.cli"}
+
+
+def test_studies_know_fmus_only():
+    """A study is of anybody's FMUs, as the master is."""
+    allowed = ("ndob_fmu.study", "ndob_fmu.cosim", "ndob_fmu.errors", "ndob_fmu.results", "ndob_fmu.plots")
+    for name in (name for name in MODULES if within(name, "ndob_fmu.study")):
+        own = {imported for imported in imports(MODULES[name]) if within(imported, "ndob_fmu")}
+        assert [imported for imported in own if not within(imported, *allowed)] == []
 
 
 def test_only_the_program_itself_imports_the_command_line():

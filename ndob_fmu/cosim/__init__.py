@@ -3,7 +3,7 @@
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.loops import Loop, algebraic_loops
-from ndob_fmu.cosim.run import simulate
+from ndob_fmu.cosim.run import open_system, simulate
 from ndob_fmu.cosim.ssp import build_ssp, check_ssp, open_ssp, parameter_sets
 from ndob_fmu.cosim.system import Connection, Port, System
 from ndob_fmu.results import Recording
@@ -22,6 +22,7 @@ __all__ = [
     "build_ssp",
     "check_ssp",
     "open_ssp",
+    "open_system",
     "parameter_sets",
     "simulate",
 ]

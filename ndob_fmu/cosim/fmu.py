@@ -6,8 +6,8 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from ctypes import byref
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ class FmuComponent:
         self._folder: Path | None = None
         self._fmu: Any = None
         self._initialized = False
+        self._keep = False
         self._worst_status = fmi2.fmi2OK
         self._time = 0.0
         self._inputs: list[Buffer] = []
@@ -65,11 +66,13 @@ class FmuComponent:
     ) -> None:
         """Unpack, load and instantiate the FMU, give it its start values and enter initialization mode."""
         self._time, self._worst_status = start_time, fmi2.fmi2OK
-        self._log.open()
-        self._folder = Path(tempfile.mkdtemp(prefix="ndob_fmu_"))
-        with open_archive(self.path) as archive:
-            archive.extractall(self._folder)
-        self._fmu = self._load(self._folder)
+        self._log.last = ""
+        if self._fmu is None:
+            self._log.open()
+            self._folder = Path(tempfile.mkdtemp(prefix="ndob_fmu_"))
+            with open_archive(self.path) as archive:
+                archive.extractall(self._folder)
+            self._fmu = self._load(self._folder)
         self._call(self._fmu.setupExperiment, None, start_time, stop_time)
         for buffer in self._buffers(tuple(start_values)):
             buffer.load([start_values[name] for name in buffer.names])
@@ -115,21 +118,42 @@ class FmuComponent:
 
     def close(self) -> None:
         """Terminate and free the instance and delete its folder; after a fatal status FMI allows the last only."""
+        if self._fmu is not None and self._initialized and self._worst_status < fmi2.fmi2Error:
+            self._try(self._fmu.terminate)
+        self._initialized = False
+        if self._keep and self._fmu is not None and self._worst_status < fmi2.fmi2Error and self._try(self._fmu.reset):
+            return
         fmu, self._fmu = self._fmu, None
         try:
             if fmu is not None and self._worst_status < fmi2.fmi2Fatal:
-                try:
-                    if self._initialized and self._worst_status < fmi2.fmi2Error:
-                        fmu.terminate()
-                except FMICallException as error:
-                    _log.warning("%s: %s", self.name, error)
                 fmu.freeInstance()
         finally:
-            self._initialized = False
             self._log.close()
             if self._folder is not None:
                 shutil.rmtree(self._folder, ignore_errors=True)  # a library still loaded cannot be deleted on Windows
                 self._folder = None
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Keep the instance from run to run until the end of the block: ``close`` resets one that has not failed.
+
+        Many short runs are then spared unpacking, loading and instantiating the FMU for each.
+        """
+        self._keep = True
+        try:
+            yield
+        finally:
+            self._keep = False
+            self.close()
+
+    def _try(self, function: Callable[[], Any]) -> bool:
+        try:
+            function()
+        except FMICallException as error:
+            self._worst_status = max(self._worst_status, error.status)
+            _log.warning("%s: %s", self.name, error)
+            return False
+        return True
 
     def _load(self, folder: Path) -> Any:
         location, here = self._location(folder), Path.cwd()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def simulate(
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
     SimulationError for a component that fails. No component and no temporary file outlives the call.
     """
-    with _opened(system, step_size) as (opened, experiment):
+    with open_system(system, step_size) as (opened, experiment):
         clock = Clock.over(
             _first(start_time, experiment.start_time, 0.0),
             _time("stop time", stop_time, experiment.stop_time),
@@ -74,7 +75,10 @@ def simulate(
 
 
 def _with_outputs(system: System, recording: Recording) -> Recording:
-    """Return the recording with the outputs at the system's boundary, after those of the components."""
+    """Return the recording with the outputs at the system's boundary, after those of the components, and all units."""
+    units = {str(port): system.variable(port).unit for port in map(system.port, recording.names)}
+    units |= {name: system.variable(link.port).unit for name, link in system.outputs.items()}
+    recording = replace(recording, units={name: unit for name, unit in units.items() if unit})
     if not system.outputs:
         return recording
     types = dict(zip(recording.names, recording.types, strict=True))
@@ -84,6 +88,7 @@ def _with_outputs(system: System, recording: Recording) -> Recording:
         (*recording.names, *system.outputs),
         np.column_stack([recording.columns, *(recording[str(p)] * factor + offset for p, factor, offset in links)]),
         (*recording.types, *(types[str(link.port)] for link in links)),
+        recording.units,
     )
 
 
@@ -98,7 +103,11 @@ def _warn_of_delays(system: System) -> None:
 
 
 @contextmanager
-def _opened(system: System | str | Path, step_size: float | None) -> Iterator[tuple[System, Experiment]]:
+def open_system(system: System | str | Path, step_size: float | None = None) -> Iterator[tuple[System, Experiment]]:
+    """Give the System itself, or the one behind the path of an .ssp or .fmu, with the default experiment, if any.
+
+    step_size: the communication step (s) to which a package's hints on the steps of its components are related.
+    """
     if isinstance(system, System):
         yield system, Experiment()
     elif Path(system).suffix == ".ssp":

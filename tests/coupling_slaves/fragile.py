@@ -1,5 +1,6 @@
 import os
 import signal
+import time
 
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real, String
 from pythonfmu.enums import Fmi2Status
@@ -32,4 +33,8 @@ class Fragile(Fmi2Slave):
                 return False
             if self.how == "interrupt":
                 os.kill(os.getpid(), signal.SIGINT)
+            if self.how == "crash":
+                os._exit(1)
+            if self.how == "slow":
+                time.sleep(0.05)
         return True

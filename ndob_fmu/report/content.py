@@ -1,0 +1,43 @@
+"""What a report shows, before it is a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import plotly.graph_objects as go
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a heading; the first column names the row."""
+
+    title: str
+    rows: list[tuple[str, ...]]
+    header: tuple[str, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a page shows: a title, one sentence, figures each with a caption, and tables before and after them."""
+
+    title: str
+    lead: str
+    summary: Table
+    figures: list[tuple[str, go.Figure]]
+    tables: list[Table] = field(default_factory=list)
+
+
+def text(value: Any) -> str:
+    """Return a value as a table shows it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "–" if value is None else str(value)
+
+
+def pretty(unit: str) -> str:
+    """Return a unit as people write it."""
+    return unit.replace(".", "·")

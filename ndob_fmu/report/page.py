@@ -1,0 +1,74 @@
+"""The page around the content of a report, and its one file."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from plotly.offline import get_plotlyjs
+
+from ndob_fmu.errors import UsageError
+from ndob_fmu.extras import extra
+from ndob_fmu.report.content import Content
+from ndob_fmu.report.run import run_content
+from ndob_fmu.results import atomic_path
+
+SYSTEM_PICTURE = "system.svg"  # whoever has a picture of the system lays it into the results folder under this name
+_CONFIGURATION = {
+    "displaylogo": False,
+    "responsive": True,
+    "toImageButtonOptions": {"format": "svg"},
+    # Nobody's results go to a server by one click.
+    "showSendToCloud": False,
+    "plotlyServerURL": "",
+}
+
+
+def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
+    """Write the report of the run or study in ``folder`` to ``path``, by default report.html there; return its path.
+
+    Raises UsageError if the folder has neither, or if a file in it cannot be read or the page not be written.
+    """
+    folder = Path(folder)
+    page = Path(path) if path is not None else folder / "report.html"
+    html = _render(_content(folder), _picture(folder))
+    with atomic_path(page) as temporary:
+        temporary.write_text(html, "utf-8")
+    return page
+
+
+def _content(folder: Path) -> Content:
+    if (folder / "study.json").exists():
+        with extra("study"):
+            from ndob_fmu.report.study import study_content
+        return study_content(folder)
+    if (folder / "result.csv").exists():
+        return run_content(folder)
+    raise UsageError.report(
+        str(folder),
+        expected="a folder with result.csv (a run) or study.json (a study)",
+        received="neither" if folder.is_dir() else "no folder",
+        likely="`ndob-fmu demo`, `simulate --results DIR` and `sweep` make one",
+    )
+
+
+def _picture(folder: Path) -> str:
+    """Return the picture of the system as a data URI: as an image it cannot run scripts or load anything."""
+    path = folder / SYSTEM_PICTURE
+    if not path.exists():
+        return ""
+    return "data:image/svg+xml;base64," + base64.b64encode(path.read_bytes()).decode()
+
+
+def _render(content: Content, picture: str) -> str:
+    environment = Environment(
+        loader=PackageLoader("ndob_fmu.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    plots = [
+        (caption, figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"plot-{k}", config=_CONFIGURATION))
+        for k, (caption, figure) in enumerate(content.figures)
+    ]
+    return environment.get_template("page.html.jinja").render(
+        content=content, picture=picture, plots=plots, plotly=get_plotlyjs()
+    )

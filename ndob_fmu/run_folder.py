@@ -1,0 +1,66 @@
+"""The folder of a run: the signals, what they were made from, and a figure, for people and for `ndob-fmu report`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ndob_fmu import plots
+from ndob_fmu.cosim import Recording, System, Value, open_system, simulate
+from ndob_fmu.cosim.system import Port
+from ndob_fmu.cosim.values import convert
+from ndob_fmu.results import software_versions, write_csv, write_json
+
+
+def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recording:
+    """Simulate, write result.csv, summary.json and signals.png and .svg into ``folder``, and return the recording.
+
+    settings: those of `simulate`. Raises what that raises, and UsageError if a file cannot be written.
+    """
+    began = time.perf_counter()
+    recording = simulate(system, **settings)
+    wall_time = time.perf_counter() - began
+    write_csv(folder / "result.csv", recording)
+    summary = describe(system, recording, settings.get("start_values"))
+    write_json(folder / "summary.json", {**summary, "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time})
+    plots.plot_signals(folder / "signals.png", recording)
+    return recording
+
+
+def describe(
+    system: System | str | Path, recording: Recording, start_values: Mapping[str, Value] | None
+) -> dict[str, Any]:
+    """Return what summary.json says of how a recording came about.
+
+    parameters: ``component.variable`` → value of every parameter, and of every other variable that a start value was
+    given for. units: of signals and parameters, where there are any.
+    """
+    with open_system(system) as (opened, _):
+        parameters = _parameters(opened, start_values or {})
+        units = {name: opened.variable(opened.port(name)).unit for name in parameters}
+    return {
+        "system": "" if isinstance(system, System) else Path(system).name,
+        "step_size": float(recording.time[1] - recording.time[0]),
+        "stop_time": float(recording.time[-1]),
+        "parameters": parameters,
+        "units": {**recording.units, **{name: unit for name, unit in units.items() if unit}},
+        "versions": software_versions(),
+    }
+
+
+def _parameters(system: System, given: Mapping[str, Value]) -> dict[str, Value]:
+    starts = dict(system.start_values)
+    for name, value in given.items():
+        starts |= system.starts(name, value)
+    values: dict[str, Value] = {}
+    for name, component in system.components.items():
+        for variable in component.variables:
+            default = variable.start if variable.causality == "parameter" else None
+            found = starts.get(Port(name, variable.name), default)
+            if found is not None:
+                value = convert(variable, found, variable.name)
+                items = {number: item for item, number in variable.items}
+                values[f"{name}.{variable.name}"] = items.get(value, value) if isinstance(value, int) else value
+    return values

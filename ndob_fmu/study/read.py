@@ -1,0 +1,124 @@
+"""Reading a study file, and checking it against the system that it is about before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from ndob_fmu.cosim import System, Value, open_system
+from ndob_fmu.cosim.schemes import SCHEMES
+from ndob_fmu.errors import UsageError
+from ndob_fmu.study.columns import RESERVED
+from ndob_fmu.study.description import STEP_SIZE, Simulation, Study
+from ndob_fmu.study.measures import SETTLING_TIME, TAKES, Measure
+from ndob_fmu.study.names import check_coupling, check_names, outputs, resolver, unit_of
+from ndob_fmu.study.points import Points
+from ndob_fmu.study.read_tables import KINDS, flat, read_tables
+from ndob_fmu.study.toml_file import Section, read_toml
+
+_SECTIONS = ("system", "seed", "record", "simulation", "fixed", *KINDS, "measures")
+
+
+def read_study(path: str | Path) -> Study:
+    """Return the study that a TOML file describes; docs/studies.md says how.
+
+    Raises UsageError for a file that cannot be read or says what cannot be, CouplingError for names that the system
+    does not have, and what opening the system raises.
+    """
+    path = Path(path)
+    file = read_toml(path)
+    file.only(_SECTIONS)
+    system = path.parent / file.get("system", str, ..., '"path of an .ssp or .fmu"')
+    simulation = _simulation(file.section("simulation"), path.parent)
+    seed = file.get("seed", int, 1, "a whole number")
+    fixed = dict(flat(file.section("fixed").entries))
+    points = Points(tuple(read_tables(file, seed)))
+    _check_points(file, points, fixed)
+    with open_system(system) as (opened, experiment):
+        check_names(file, opened, points, fixed)
+        resolve = resolver(file.where, opened)
+        measures = dict(_measures(file.section("measures"), resolve))
+        if not measures:
+            measures = {name: Measure(name, "final") for name in outputs(opened)}
+        record = tuple(resolve("record", name) for name in file.get("record", list, [], "a list of signals"))
+        check_coupling(file, opened, experiment, simulation, points, fixed)
+        units = _units(opened, points, measures, record)
+    _check_columns(file, points, measures)
+    contents = [str(system), *([simulation.input_file] if simulation.input_file else [])]
+    files = {name: _content(name) for name in contents}
+    return Study(path.stem, str(system), simulation, fixed, points, measures, record, units, files)
+
+
+def _simulation(section: Section, folder: Path) -> Simulation:
+    section.only([entry.name for entry in fields(Simulation)])
+    scheme = section.get("scheme", str, "jacobi", " or ".join(map(repr, SCHEMES)))
+    if scheme not in SCHEMES:
+        raise section.wrong("scheme", " or ".join(map(repr, SCHEMES)), scheme)
+    times = {
+        name: section.number(name, None, "a number of seconds")
+        for name in ("start_time", "stop_time", STEP_SIZE, "output_interval")
+    }
+    order = section.get("order", list, None, "a list of components")
+    file = section.get("input_file", str, None, "the path of a CSV file")
+    return Simulation(
+        **times,
+        scheme=scheme,
+        order=None if order is None else tuple(order),
+        input_file=None if file is None else str(folder / file),
+    )
+
+
+def _check_points(file: Section, points: Points, fixed: Mapping[str, Value]) -> None:
+    if not points.names:
+        received = "none of them"
+        raise UsageError.report(
+            file.where, expected="a table " + " or ".join(f"[{k}]" for k in KINDS), received=received
+        )
+    seen: set[str] = set(fixed)
+    for name in points.names:
+        if name in seen:
+            raise UsageError.report(file.where, expected=f"{name} in one place", received="two that set it")
+        seen.add(name)
+    if STEP_SIZE in fixed:
+        raise UsageError.report(file.where, expected=f"{STEP_SIZE} in [simulation]", received=f"{STEP_SIZE} in [fixed]")
+
+
+def _measures(section: Section, resolve: Callable[[str, Any], str]) -> Iterator[tuple[str, Measure]]:
+    for name in section.entries:
+        entry = section.section(name)
+        entry.only([each.name for each in fields(Measure)])
+        take = entry.get("take", str, ..., f"one of {', '.join(TAKES)}")
+        if take not in TAKES:
+            raise entry.wrong("take", f"one of {', '.join(TAKES)}", take)
+        of, minus = entry.get("of", str, ..., "a signal"), entry.get("minus", str, None, "a signal")
+        yield (
+            name,
+            Measure(
+                resolve(f"measure {name}", of),
+                take,
+                None if minus is None else resolve(f"measure {name}", minus),
+                entry.number("after", None, "a number of seconds"),
+                entry.number("within", 0.02),
+            ),
+        )
+
+
+def _units(system: System, points: Points, measures: Mapping[str, Measure], record: tuple[str, ...]) -> dict[str, str]:
+    found = {name: "s" if name == STEP_SIZE else unit_of(system, name) for name in (*points.names, *record)}
+    found |= {name: "s" if m.take == SETTLING_TIME else unit_of(system, m.of) for name, m in measures.items()}
+    return {name: unit for name, unit in found.items() if unit}
+
+
+def _check_columns(file: Section, points: Points, measures: Mapping[str, Measure]) -> None:
+    for name in measures:
+        if name in (*RESERVED, *points.names):
+            raise UsageError.report(f"{file.where}, [measures]", expected="a new name", received=repr(name))
+
+
+def _content(name: str) -> bytes:
+    try:
+        return Path(name).read_bytes()
+    except OSError as error:
+        raise UsageError.report(name, expected="a file that can be read", received=str(error)) from error

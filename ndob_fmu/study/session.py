@@ -1,0 +1,71 @@
+"""One system, opened once and run again and again with other values."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from ndob_fmu.cosim import FmuComponent, open_system, simulate
+from ndob_fmu.errors import NdobError
+from ndob_fmu.results import Recording
+from ndob_fmu.study.columns import FAILED, REASON, RUN, TIME, WALL_TIME, over_time
+from ndob_fmu.study.description import STEP_SIZE, Study
+
+_MOST_OF_A_REASON = 500
+
+
+class Session:
+    """FMUs are unpacked and instantiated at the first run, and reset from run to run, until ``close``.
+
+    files: where the study's files lie on this machine, by the names that the study gives them. A session belongs to
+    one thread at a time.
+    """
+
+    def __init__(self, study: Study, files: dict[str, Path]) -> None:
+        self._study = study
+        self._release = ExitStack()
+        settings = study.simulation
+        self._system, experiment = self._release.enter_context(open_system(files[study.system]))
+        for component in self._system.components.values():
+            if isinstance(component, FmuComponent):
+                self._release.enter_context(component.kept())
+        self._settings: dict[str, Any] = {
+            "start_time": experiment.start_time if settings.start_time is None else settings.start_time,
+            "stop_time": experiment.stop_time if settings.stop_time is None else settings.stop_time,
+            STEP_SIZE: experiment.step_size if settings.step_size is None else settings.step_size,
+            "output_interval": settings.output_interval,
+            "input_file": None if settings.input_file is None else files[settings.input_file],
+            "scheme": settings.scheme,
+            "order": settings.order,
+            "progress": False,
+        }
+
+    def run(self, run: int) -> dict[str, Any]:
+        """Return the row of a run: its values and measures, or the reason why it failed."""
+        point = self._study.points[run]
+        began = time.perf_counter()
+        row: dict[str, Any] = {RUN: run, **point, FAILED: False}
+        try:
+            row |= self._kept(self._simulate(dict(point)))
+        except NdobError as error:
+            row |= {FAILED: True, REASON: str(error)[:_MOST_OF_A_REASON]}
+        except Exception as error:  # whatever a run dies of concerns this run only
+            row |= {FAILED: True, REASON: f"{type(error).__name__}: {error}"[:_MOST_OF_A_REASON]}
+        return row | {WALL_TIME: time.perf_counter() - began}
+
+    def _kept(self, recording: Recording) -> dict[str, Any]:
+        kept: dict[str, Any] = {name: measure(recording) for name, measure in self._study.measures.items()}
+        if self._study.record:
+            kept[TIME] = recording.time.tolist()
+            kept |= {over_time(name): recording[name].tolist() for name in self._study.record}
+        return kept
+
+    def _simulate(self, point: dict[str, Any]) -> Recording:
+        step = {STEP_SIZE: float(point.pop(STEP_SIZE))} if STEP_SIZE in point else {}
+        return simulate(self._system, start_values={**self._study.fixed, **point}, **{**self._settings, **step})
+
+    def close(self) -> None:
+        """Free the FMUs and delete what was unpacked."""
+        self._release.close()

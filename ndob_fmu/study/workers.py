@@ -1,0 +1,146 @@
+"""What runs on the workers of dask.distributed, and how they are reached."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import tempfile
+import threading
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
+
+from ndob_fmu.errors import SimulationError, UsageError
+from ndob_fmu.study.description import Study
+from ndob_fmu.study.session import Session
+
+_PATIENCE = 10.0  # seconds for a scheduler to answer, and for its first worker
+_CONFIGURATION = {
+    "distributed.comm.timeouts.connect": "5s",
+    # A run that ends its worker is tried on one more before it counts as failed.
+    "distributed.scheduler.allowed-failures": 1,
+}
+
+
+class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as untyped: pyproject.toml
+    """Brings a study to every worker, present and future, and keeps its sessions between batches there."""
+
+    def __init__(self, study: Study, *, own: bool) -> None:
+        """Take the study; own: the workers are of this command's making."""
+        self.name = f"ndob-fmu-{uuid.uuid4().hex}"  # two commands may share a scheduler
+        self._study = study
+        self._own = own
+
+    def setup(self, worker: Worker) -> None:
+        """Lay down the study's files."""
+        if self._own and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which then ends its workers
+        self._folder = tempfile.TemporaryDirectory(prefix="ndob_fmu_study_")
+        self._files: dict[str, Path] = {}
+        for index, (name, content) in enumerate(self._study.files.items()):
+            path = Path(self._folder.name, str(index), Path(name).name)
+            path.parent.mkdir()
+            path.write_bytes(content)
+            self._files[name] = path
+        self._idle: list[Session] = []
+
+    def teardown(self, worker: Worker) -> None:
+        """Free the FMUs."""
+        while self._idle:
+            self._idle.pop().close()
+        self._folder.cleanup()
+
+    def run(self, runs: Sequence[int]) -> list[dict[str, Any]]:
+        """Return a row for each run, made in a session that no other thread of the worker uses meanwhile."""
+        session = self._idle.pop() if self._idle else Session(self._study, self._files)
+        try:
+            return [session.run(run) for run in runs]
+        finally:
+            self._idle.append(session)
+
+
+def run_batch(plugin: str, runs: Sequence[int]) -> list[dict[str, Any]]:
+    """Do some runs on the worker that this is called on."""
+    found: StudyPlugin = get_worker().plugins[plugin]
+    return found.run(runs)
+
+
+@contextmanager
+def connected(workers: int | None, scheduler: str | None) -> Iterator[Client]:
+    """Give a client of the scheduler at an address, or of a new cluster of processes on this machine.
+
+    Raises UsageError if no scheduler answers there, SimulationError if it has no worker.
+    """
+    with dask.config.set(_CONFIGURATION), _quiet():
+        if scheduler is not None:
+            with _remote(scheduler) as client:
+                yield client
+            return
+        # Workers that are killed leave their files behind; these go with the folder.
+        with (
+            tempfile.TemporaryDirectory(prefix="ndob_fmu_", ignore_cleanup_errors=True) as folder,
+            ExitStack() as stack,
+        ):
+            yield _local(workers or os.cpu_count() or 1, folder, stack)
+
+
+def _local(workers: int, folder: str, stack: ExitStack) -> Client:
+    try:
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=":0",
+            local_directory=folder,
+            env={"TMPDIR": folder},
+            silence_logs=logging.CRITICAL,
+        )
+        return stack.enter_context(Client(stack.enter_context(cluster)))
+    except (OSError, RuntimeError, TimeoutError) as error:
+        raise SimulationError.report(
+            "workers",
+            expected=f"{workers} processes that start on this machine",
+            received=" ".join(str(error).split())[:200],
+            likely='too little memory, or a script that calls sweep outside of `if __name__ == "__main__":`',
+        ) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep distributed's diary off the terminal; what matters of it comes back as an error or a row."""
+    names = ("distributed", "distributed.client", "tornado.application", "asyncio")  # each with a level of its own
+    loggers = [logging.getLogger(name) for name in names]
+    before = [logger.level for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.setLevel(logging.CRITICAL + 1)
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+
+
+@contextmanager
+def _remote(address: str) -> Iterator[Client]:
+    try:
+        client = Client(address, timeout=_PATIENCE)
+    except (OSError, ValueError, TimeoutError) as error:
+        received = str(error).partition("\n")[0] or "no answer"
+        raise UsageError.report(
+            f"scheduler {address}",
+            expected="a scheduler of dask.distributed that answers, as tcp://HOST:PORT",
+            received=received,
+            likely="`dask scheduler` does not run there, or a firewall is in between",
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError as error:
+            raise SimulationError.report(f"scheduler {address}", expected="a worker", received="none") from error
+        yield client

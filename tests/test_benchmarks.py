@@ -1,0 +1,11 @@
+"""The benchmarks run, and give the figures that their page takes."""
+
+from __future__ import annotations
+
+from benchmarks.sweep_throughput import rows
+
+
+def test_the_throughput_of_a_sweep_is_measured():
+    found = list(rows(["study"], quick=True))
+    assert [row.unit for row in found] == ["s", "runs/s"]
+    assert found[0].measured * found[1].measured == 4  # runs
