@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
-from math import isfinite, nan, ulp
+from math import nan, ulp
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,6 +26,7 @@ from pythonfmu import (
 )
 from pythonfmu.enums import Fmi2Status
 
+from fmus.slave_guards import FAILURES, experiment_fault, failure, parameter_fault, step_fault, stop_fault
 from fmus.slave_state import Snapshot, from_bytes, to_bytes
 from ndob_fmu.runtime.equations import Experiment
 from ndob_fmu.runtime.errors import NdobError
@@ -33,10 +34,6 @@ from ndob_fmu.runtime.interface import Variable
 
 _TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer, "String": String}
 _NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
-# A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
-_TIME_TOLERANCE = 1e-3
-# What computing with impossible numbers raises; LinAlgError is a ValueError.
-_FAILURES = (NdobError, ArithmeticError, ValueError)
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type information
@@ -101,7 +98,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     # -- called by pythonfmu: from mode to mode
 
     def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
-        """Note when the simulation starts and stops."""
+        """Note when the simulation starts and stops; impossible times are refused."""
+        fault = experiment_fault(start_time, stop_time)
+        if fault:
+            self._say(fault)
+            return
         self._start_time = self._time = start_time
         self._stop_time, self._step_size = stop_time, 0.0
 
@@ -117,11 +118,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the core; a step that cannot be taken is logged and changes nothing."""
-        if not (0.0 < step_size < np.inf and abs(current_time - self._time) <= _TIME_TOLERANCE * step_size):
-            return self._discard_step(current_time, step_size)
+        fault = step_fault(current_time, step_size, self._time)
+        if fault:
+            self._say(fault, Fmi2Status.discard)
+            return False
         end = current_time + step_size
-        if self._stop_time is not None and end > self._stop_time + _TIME_TOLERANCE * step_size:
-            self._report("end of the step", f"at most the stop time {self._stop_time:g} s", f"{end:g} s")
+        fault = stop_fault(end, step_size, self._stop_time)
+        if fault:
+            self._say(fault)
             return False
         if self._initializing:  # without a front the host did not learn that initialization failed
             self.exit_initialization_mode()
@@ -135,9 +139,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
             with np.errstate(all="ignore"):
                 self._publish(self.advance(current_time, step_size))
-        except _FAILURES as error:
+        except FAILURES as error:
             self.state = before
-            self.log(_reason("step", error), Fmi2Status.discard)
+            self._say(failure("step", error), Fmi2Status.discard)
             return False
         self._time, self._step_size = end, step_size
         return True
@@ -195,16 +199,15 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def _set_fmu_state(self, snapshot: Snapshot | NdobError) -> None:
         if isinstance(snapshot, NdobError):
-            self.log(str(snapshot), Fmi2Status.error)
+            self._say(snapshot)
             return
         if snapshot.slave != self._identity():
             self._report("FMU state", f"one of {self._identity()}", f"one of {snapshot.slave}")
             return
-        if snapshot.started_with not in (None, self._started_with):
-            # In initialization mode others may have been set since, which need not even admit a core.
-            for vr, value in zip(self._parameter_references, snapshot.started_with, strict=True):
-                self._values[vr] = value
-            self.start(snapshot.start_time)
+        fault = self._restart(snapshot)
+        if fault:
+            self._say(fault)
+            return
         self._values = list(snapshot.values)
         self._refused = dict(snapshot.refused)
         self._initializing, self._stale = snapshot.initializing, snapshot.stale
@@ -213,8 +216,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._started_with, self.state = snapshot.started_with, snapshot.core
 
     @classmethod
-    def _fmu_state_to_bytes(cls, snapshot: Snapshot) -> bytes:
-        return to_bytes(snapshot)
+    def _fmu_state_to_bytes(cls, snapshot: Snapshot | NdobError) -> bytes:
+        """Return the bytes; what was refused when it was read has none, and is refused again."""
+        return b"" if isinstance(snapshot, NdobError) else to_bytes(snapshot)
 
     @classmethod
     def _fmu_state_from_bytes(cls, data: bytes) -> Snapshot | NdobError:
@@ -245,6 +249,29 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             ),
             nested=False,
         )
+
+    def _restart(self, snapshot: Snapshot) -> NdobError | None:
+        """Make the core of the snapshot's parameters, or leave the present one and return why that cannot be."""
+        if not snapshot.fits(len(self._values), len(self._parameter_references)):
+            return NdobError.report("FMU state", expected="the variables of this FMU", received="others")
+        if snapshot.started_with in (None, self._started_with):
+            return None
+        before = self._values, self.state
+        try:
+            self._start_with(snapshot.started_with, snapshot.start_time)
+        except FAILURES as error:
+            if self._started_with is not None:
+                self._start_with(self._started_with, self._start_time)
+            self._values, self.state = before
+            return failure("FMU state", error)
+        return None
+
+    def _start_with(self, parameters: tuple[Any, ...], start_time: float) -> None:
+        """Start with these, since in initialization mode others may have been set that need not even admit a core."""
+        self._values = list(self._values)
+        for vr, value in zip(self._parameter_references, parameters, strict=True):
+            self._values[vr] = value
+        self.start(start_time)
 
     def _references(self, causality: str) -> list[int]:
         return [index for index, variable in enumerate(self._variables) if variable.causality == causality]
@@ -287,25 +314,18 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self._report(variable.name, "a value before the end of initialization", f"{value!r} after it")
             return False
         self._refused.pop(vr, None)
-        expected = _acceptable(variable, value)
-        if expected:
+        fault = parameter_fault(variable, value)
+        if fault:
             # It is kept, so that a host that overlooks the status does not run with another value than it set.
-            self._refused[vr] = self._report(variable.name, expected, repr(value))
+            self._refused[vr] = str(fault)
+            self._say(fault)
         return True
 
-    def _report(self, where: str, expected: str, received: str) -> str:
-        message = str(NdobError.report(where, expected=expected, received=received))
-        self.log(message, Fmi2Status.error)
-        return message
+    def _report(self, where: str, expected: str, received: str) -> None:
+        self._say(NdobError.report(where, expected=expected, received=received))
 
-    def _discard_step(self, current_time: float, step_size: float) -> bool:
-        if 0.0 < step_size < np.inf:
-            where, expected, received = "time of the step", f"{self._time!r} s, where the last one ended", current_time
-        else:
-            where, expected, received = "communication step", "a finite time > 0 s", step_size
-        message = NdobError.report(where, expected=expected, received=f"{received!r} s")
-        self.log(str(message), Fmi2Status.discard)
-        return False
+    def _say(self, fault: NdobError, status: Fmi2Status = Fmi2Status.error) -> None:
+        self.log(str(fault), status)
 
     def _refresh(self) -> bool:
         """Bring the outputs up to date in initialization mode; log why where that cannot be done."""
@@ -320,8 +340,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 self._started_with = parameters
             with np.errstate(all="ignore"):
                 self._publish(self.show())
-        except _FAILURES as error:
-            self.log(_reason("start", error), Fmi2Status.error)
+        except FAILURES as error:
+            self._say(failure("start", error))
             return False
         self._stale = False
         return True
@@ -329,26 +349,3 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def _publish(self, outputs: Iterable[Any]) -> None:
         for vr, value in zip(self._output_references, outputs, strict=True):
             self._values[vr] = value
-
-
-def _reason(where: str, error: Exception) -> str:
-    if isinstance(error, NdobError):
-        return str(error)
-    received = f"{error} ({type(error).__name__})"
-    return str(NdobError.report(where, expected="numbers that can be computed with", received=received))
-
-
-def _acceptable(variable: Variable, value: Any) -> str:
-    """Return what a parameter's value should have been, or nothing if it is that."""
-    if variable.type in ("Boolean", "String"):
-        return ""
-    if variable.items is not None:
-        allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
-        return "" if value in variable.items.values() else f"one of {allowed}"
-    too_small = variable.minimum is not None and value < variable.minimum
-    too_large = variable.maximum is not None and value > variable.maximum
-    if isfinite(value) and not too_small and not too_large:
-        return ""
-    least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
-    most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
-    return f"a finite number{least}{most}"

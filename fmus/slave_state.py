@@ -43,6 +43,29 @@ class Snapshot:
     time: float
     step_size: float
 
+    def fits(self, variables: int, parameters: int) -> bool:
+        """Return whether it is of a slave with that many variables, and parameters among them."""
+        return (
+            len(self.values) == variables
+            and (self.started_with is None or len(self.started_with) == parameters)
+            and all(0 <= vr < variables for vr in self.refused)
+        )
+
+
+_NUMBER = (float, int)
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "slave": str,
+    "values": tuple,
+    "refused": dict,
+    "started_with": (tuple, type(None)),
+    "initializing": bool,
+    "stale": bool,
+    "start_time": _NUMBER,
+    "stop_time": (*_NUMBER, type(None)),
+    "time": _NUMBER,
+    "step_size": _NUMBER,
+}
+
 
 def to_bytes(snapshot: Snapshot) -> bytes:
     """Return the snapshot's bytes, the same for equal snapshots."""
@@ -58,13 +81,19 @@ def from_bytes(data: bytes, state_types: tuple[type, ...]) -> Snapshot:
             raise ValueError("bytes that are cut off, damaged or no FMU state")
         known = {state_type.__name__: state_type for state_type in (Snapshot, *state_types)}
         snapshot = _restored(json.loads(content), known)
-        if not isinstance(snapshot, Snapshot):
+        if not isinstance(snapshot, Snapshot) or not _well_typed(snapshot):
             raise TypeError("something else")
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, ArithmeticError, RecursionError) as error:
         raise NdobError.report(
             "FMU state", expected="the bytes of a state of this FMU", received=str(error) or repr(error)
         ) from error
     return snapshot
+
+
+def _well_typed(snapshot: Snapshot) -> bool:
+    if not all(isinstance(getattr(snapshot, name), kind) for name, kind in _KINDS.items()):
+        return False
+    return all(isinstance(vr, int) and isinstance(why, str) for vr, why in snapshot.refused.items())
 
 
 def _plain(value: Any) -> Any:

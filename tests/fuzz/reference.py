@@ -13,6 +13,7 @@ from .library import DISCARD, ERROR, OK, WARNING, Library, Variable
 
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED = "instantiated", "initialization", "stepping", "terminated"
 NO_DESIGN = "disturbance_bound"  # no disturbance to design for if it is 0
+SAMPLED_DATA = 2  # the method that designs for it
 LARGEST_INPUT = 10.0
 LONGEST_STEP = 0.01
 SHORTEST_STEP = 1e-4
@@ -86,7 +87,8 @@ def refreshed(library: Library, memory: Memory) -> set[int]:
     """The statuses of bringing the outputs up to date in initialization mode."""
     if memory.refused:
         return {ERROR}
-    if any(library.variables[vr].name == NO_DESIGN and value == 0.0 for vr, value in memory.values.items()):
+    set_to = {library.variables[vr].name: value for vr, value in memory.values.items()}
+    if set_to.get("method") == SAMPLED_DATA and set_to[NO_DESIGN] == 0.0:
         return {ERROR}
     status = WARNING if holds_inputs(library, memory) else OK
     return {status, ERROR} if wild(library, memory) else {status}

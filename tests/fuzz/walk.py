@@ -140,7 +140,7 @@ class Walk:
 
     def instantiate(self) -> Twin:
         library = self.random.choice(self.libraries)
-        name, logging, heard = f"i{len(self.twins)}", self.random.random() < 0.5, not self.rarely()
+        name, logging, heard = f"i{self.made}", self.random.random() < 0.5, not self.rarely()
         self.note(f"{self.made} {library.name} Instantiate {name} {logging} {heard}")
         self.made += 1
         library.said.clear()
@@ -317,7 +317,7 @@ class Walk:
         if type_ == "String":
             return self.random.choice([None, b"", b"text", b"\xff%s%n"])
         if type_ != "Real":
-            return self.random.choice([0, 1, 2, 3, -1, 2**31 - 1, -(2**31)])
+            return self.random.choice([-1, 2**31 - 1, -(2**31)] if self.rarely() else [0, 1, 1, 2, 2, 3])
         variable = library.variables[vr] if vr < len(library.variables) else None
         kind = self.random.random()
         if kind < 0.06:

@@ -1,0 +1,71 @@
+"""What is wrong with what a host or a user has given: nothing raises, each fault is an error to be logged."""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+from typing import Any
+
+from ndob_fmu.runtime.errors import NdobError
+from ndob_fmu.runtime.interface import Variable
+
+# What computing with impossible numbers raises; LinAlgError is a ValueError.
+FAILURES = (NdobError, ArithmeticError, ValueError)
+# A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
+_TIME_TOLERANCE = 1e-3
+
+
+def failure(where: str, error: Exception) -> NdobError:
+    """Return one of the `FAILURES` as a message for users; `where` says in what."""
+    if isinstance(error, NdobError):
+        return error
+    received = f"{error} ({type(error).__name__})"
+    return NdobError.report(where, expected="numbers that can be computed with", received=received)
+
+
+def experiment_fault(start_time: float, stop_time: float | None) -> NdobError | None:
+    """Return what is wrong with the times of an experiment (s)."""
+    if isfinite(start_time) and (stop_time is None or stop_time >= start_time):
+        return None
+    stop = "" if stop_time is None else f" and {stop_time:g} s"
+    return NdobError.report(
+        "experiment", expected="a finite start time and a later stop time", received=f"{start_time:g} s{stop}"
+    )
+
+
+def step_fault(current_time: float, step_size: float, follows: float) -> NdobError | None:
+    """Return what is wrong with a step that should start at the time `follows` (s)."""
+    if not 0.0 < step_size < inf:
+        return NdobError.report("communication step", expected="a finite time > 0 s", received=f"{step_size!r} s")
+    if abs(current_time - follows) <= _TIME_TOLERANCE * step_size:
+        return None
+    expected = f"{follows!r} s, where the last one ended"
+    return NdobError.report("time of the step", expected=expected, received=f"{current_time!r} s")
+
+
+def stop_fault(end: float, step_size: float, stop_time: float | None) -> NdobError | None:
+    """Return what is wrong with a step that goes on to `end`, if that is after `stop_time` (s)."""
+    if stop_time is None or end <= stop_time + _TIME_TOLERANCE * step_size:
+        return None
+    return NdobError.report("end of the step", expected=f"at most the stop time {stop_time:g} s", received=f"{end:g} s")
+
+
+def parameter_fault(variable: Variable, value: Any) -> NdobError | None:
+    """Return what is wrong with the value of a parameter."""
+    expected = _acceptable(variable, value)
+    return NdobError.report(variable.name, expected=expected, received=repr(value)) if expected else None
+
+
+def _acceptable(variable: Variable, value: Any) -> str:
+    """Return what a parameter's value should have been, or nothing if it is that."""
+    if variable.type in ("Boolean", "String"):
+        return ""
+    if variable.items is not None:
+        allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
+        return "" if value in variable.items.values() else f"one of {allowed}"
+    too_small = variable.minimum is not None and value < variable.minimum
+    too_large = variable.maximum is not None and value > variable.maximum
+    if isfinite(value) and not too_small and not too_large:
+        return ""
+    least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
+    most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
+    return f"a finite number{least}{most}"
