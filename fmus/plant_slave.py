@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -50,12 +50,12 @@ class PlantSlave(Slave):
             held=(0.0,) * (len(eq.inputs) + len(eq.disturbances)),
         )
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return outputs, the other states and total disturbances at the present time."""
         held = self._inputs()
         return self._outputs(self.state.plant, held[len(self.equations.inputs) :])
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Integrate to the end of the step."""
         m = len(self.equations.inputs)
         held = self._inputs()

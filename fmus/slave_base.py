@@ -33,6 +33,7 @@ from ndob_fmu.runtime.errors import NdobError
 from ndob_fmu.runtime.interface import Variable
 
 _TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer, "String": String}
+_NEVER: tuple[None, Any] = (None, None)
 _NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
 
 
@@ -61,9 +62,10 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             for kind in _TYPES.values()
         }
         self._input_references = frozenset(self._references("input"))
-        self._output_references = self._references("output")
+        self._shown = self.stretch([variable.name for variable in variables if variable.causality == "output"])
         self._parameter_references = self._references("parameter")
-        self._read: dict[str, list[int]] = {}
+        self._read: dict[str, tuple[list[int], slice | None]] = {}
+        self._written: dict[str, tuple[list[int], slice]] = {}
         self._refused: dict[int, str] = {}
         self._started_with: tuple[Any, ...] | None = None
         self._initializing = False
@@ -80,12 +82,23 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         """Make the core anew from the parameters, and `state`. Raises NdobError where they admit none."""
 
     @abstractmethod
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the outputs at the start, for the inputs set so far, in the order of their declaration."""
 
     @abstractmethod
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Take one step and return the outputs at its end, in the order of their declaration."""
+
+    def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
+        """Do the same without NumPy, or return None and change nothing where that cannot be done."""
+        return None
+
+    def stretch(self, names: Sequence[str]) -> slice:
+        """Return where the values of variables lie that are declared one after another."""
+        at = _stretch([self._value_reference[name] for name in names])
+        if at is None:
+            raise ValueError(f"variables that are not declared one after another: {', '.join(names)}")
+        return at
 
     def values(self, names: Iterable[str]) -> list[Any]:
         """Return the present values of the named variables."""
@@ -132,13 +145,16 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             if self._initializing:
                 return False
         # The step as the difference of two rounded times is another one each time, and a design is made for each.
-        if abs(step_size - self._step_size) <= 2.0 * ulp(end):
+        if step_size != self._step_size and abs(step_size - self._step_size) <= 2.0 * ulp(end):
             step_size = self._step_size
         before = self.state
         try:
-            # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
-            with np.errstate(all="ignore"):
-                self._publish(self.advance(current_time, step_size))
+            outputs = self.advance_quickly(current_time, step_size)
+            if outputs is None:
+                # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
+                with np.errstate(all="ignore"):
+                    outputs = self.advance(current_time, step_size)
+            self._publish(outputs)
         except FAILURES as error:
             self.state = before
             self._say(failure("step", error), Fmi2Status.discard)
@@ -280,22 +296,33 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         return f"{type(self).__module__}.{type(self).__name__}"
 
     def _get(self, kind: str, vrs: list[int]) -> list[Any]:
-        if vrs != self._read.get(kind):
+        # Hosts ask for the same variables again and again, most often for some that are declared one after another.
+        known, at = self._read.get(kind, _NEVER)
+        if vrs != known:
             if not self._known(kind, vrs):
                 return [_NOTHING[kind]] * len(vrs)
-            self._read[kind] = vrs
+            at = _stretch(vrs)
+            self._read[kind] = vrs, at
         if self._stale:
             self._refresh()
         values = self._values
-        return [values[vr] for vr in vrs]
+        return [values[vr] for vr in vrs] if at is None else values[at]
 
     def _set(self, kind: str, vrs: list[int], new: list[Any]) -> None:
+        inputs, at = self._written.get(kind, _NEVER)
+        if vrs == inputs:
+            self._values[at] = new
+            self._stale = self._initializing
+            return
         if not self._known(kind, vrs):
             return
         for vr, value in zip(vrs, new, strict=True):
             if vr in self._input_references or self._may_set(vr, value):
                 self._values[vr] = value
         self._stale = self._initializing
+        at = _stretch(vrs)
+        if at is not None and self._input_references.issuperset(vrs):
+            self._written[kind] = vrs, at
 
     def _known(self, kind: str, vrs: list[int]) -> bool:
         known = self._of_type[kind]
@@ -339,13 +366,21 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 self.start(self._start_time)
                 self._started_with = parameters
             with np.errstate(all="ignore"):
-                self._publish(self.show())
+                shown = self.show()
+            if len(shown) != len(self._values[self._shown]):
+                raise ValueError(f"{len(shown)} values for other outputs than that")
+            self._publish(shown)
         except FAILURES as error:
             self._say(failure("start", error))
             return False
         self._stale = False
         return True
 
-    def _publish(self, outputs: Iterable[Any]) -> None:
-        for vr, value in zip(self._output_references, outputs, strict=True):
-            self._values[vr] = value
+    def _publish(self, outputs: Sequence[Any]) -> None:
+        self._values[self._shown] = outputs
+
+
+def _stretch(vrs: list[int]) -> slice | None:
+    """Return the slice that a list of value references is; None where they do not follow one another."""
+    at = slice(vrs[0], vrs[0] + len(vrs)) if vrs else slice(0)
+    return at if vrs == list(range(at.start or 0, at.stop)) else None

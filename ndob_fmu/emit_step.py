@@ -13,7 +13,7 @@ import sympy
 
 from ndob_fmu.python_text import python_text, tuple_text
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
-from ndob_fmu.runtime.integrate import NODES
+from ndob_fmu.runtime.integrate import ABSOLUTE_TOLERANCE, NODES
 from ndob_fmu.straight_line import RightHandSide, correction, right_hand_side, symbols, trial
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def emit_steps(model: Model) -> list[str]:
     of_observer = right_hand_side(list(known + model.G_d * sympy.Matrix(lumped)), outputs, x, lumped, u)
     return [
         *_functions("plant", of_plant, p, "_x, _u, _d, _k, _h", _plant_step(of_plant, u)),
-        *_functions("observer", of_observer, p, "_xi, _u, _y, _k, _r, _H", _observer_step(of_observer, u)),
+        *_functions("observer", of_observer, p, "_xi, _inputs, _k, _r, _H", _observer_step(of_observer, u)),
     ]
 
 
@@ -85,26 +85,28 @@ def _plant_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         *_unpacked([symbol for stage in stages for symbol in stage], "_d"),
         *_assigned(rhs.held),
         *_assigned(tried.assignments),
-        *_assigned(tried.judgement),
+        *_assigned(tried.errors),
+        *_assigned(tried.tolerances),
         f"return {_values(tried.x_after)}, {_error_norm(tried.judged)}",
     ]
 
 
 def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
-    """Return the step from a usual sample with the gain at rest: None where that is not what it is.
-
-    _xi is ξ̂⁻ with derivatives of d̂ up to the highest order, _r the largest usual residuals (p,) and the gain (N,p).
-    Else x̂ and d̂ with its derivatives after the step, ξ̂ after the sample, the residuals and their magnitudes.
-    """
+    """Return the step from a usual sample with the gain at rest, as `Steps` has it."""
     p, q = len(rhs.outputs), len(rhs.d)
     delta = symbols("q", HIGHEST_ORDER * q)
-    usual, gain, y = symbols("z", p), symbols("K", (len(rhs.x) + len(delta)) * p), symbols("y", p)
+    d_std, usual, gain, y = (
+        symbols("s", q),
+        symbols("z", p),
+        symbols("K", (len(rhs.x) + len(delta)) * p),
+        symbols("y", p),
+    )
     update = correction(rhs, delta, y, _rows(gain, p))
     e = [symbol for symbol, _ in update.residuals]
 
     # d̂ is continued by its Taylor series, from substep to substep; the last two stages are both at its end.
     d_1, d_2, d_3 = _rows(delta, q)
-    h, halves = sympy.Symbol("_h", real=True), symbols("a", q)
+    h, halves, d_at = sympy.Symbol("_h", real=True), symbols("a", q), symbols("b", q)
     times = [*symbols("t", len(NODES) - 3), h]
     stages = _rows(symbols("d", len(times) * q), q)
     continued = [
@@ -117,12 +119,13 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         *zip([*rhs.x, *d_1], [*tried.x_after, *stages[-1]], strict=True),
         *((symbol, symbol + h * change) for symbol, change in zip(d_2, d_3, strict=True)),
     ]
-    accepted = " and ".join(f"-{tolerance} <= {error} <= {tolerance}" for error, tolerance in tried.judged)
+    # Most errors are below what is tolerated in any state, so that the tolerances need not be known; and where they
+    # are, nothing has left the finite numbers.
+    usually = " and ".join(f"-{ABSOLUTE_TOLERANCE!r} <= {error} <= {ABSOLUTE_TOLERANCE!r}" for error, _ in tried.judged)
     return [
         *_unpacked([*rhs.x, *delta], "_xi"),
-        *_unpacked(u, "_u"),
-        *_unpacked(y, "_y"),
-        *_unpacked([*usual, *gain], "_r"),
+        *_unpacked([*u, *y], "_inputs"),
+        *_unpacked([*usual, *d_std, *gain], "_r"),
         *_assigned(update.residuals),
         f"if not ({' and '.join(f'-{most} <= {error} <= {most}' for error, most in zip(e, usual, strict=True))}):",
         "    return None",
@@ -133,32 +136,38 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         ),
         *_assigned(update.corrected),
         f"_at = {_values([*rhs.x, *delta])}",
+        *_assigned(zip(d_at, d_1, strict=True)),
         *_assigned(rhs.held),
         *(f"{half} = 0.5 * {third}" for half, third in zip(halves, d_3, strict=True)),
         "_t = 0.0",
         "_h = _left = _H",
-        "for _ in range(_MOST_SUBSTEPS):",
+        "_trials = 1",
+        "while True:",
         *(f"    {time} = {node!r} * _h" for time, node in zip(times[:-1], NODES[1:], strict=False)),
         *_indented(_assigned(continued)),
         *_indented(_assigned(tried.assignments)),
-        *_indented(_assigned(tried.judgement)),
-        f"    if {accepted}:",
-        *_indented(_indented(_assigned(moved))),
-        "        if _h == _left:",
-        "            break",
-        "        _t += _h",
+        *_indented(_assigned(tried.errors)),
+        f"    if _h == _left and {usually}:",
+        "        break",
+        *_indented(_assigned(tried.tolerances)),
         f"    _norm = {_error_norm(tried.judged)}",
-        "    if _norm == math.inf:",
+        "    if _norm <= 1.0:",
+        "        if _h == _left:",
+        f"            if not math.isfinite({' + '.join(map(str, tried.x_after))}):",
+        "                return None",
+        "            break",
+        *_indented(_indented(_assigned(moved))),
+        "        _t += _h",
+        "    if _norm == math.inf or _trials == _MOST_SUBSTEPS:",
         "        return None",
+        "    _trials += 1",
         "    _h = _next_substep(_h, _norm)",
         "    _left = _H - _t",
         "    if _h >= _left * _ALMOST:",
         "        _h = _left",
-        "else:",
-        "    return None",
-        f"if not math.isfinite({' + '.join(map(str, [*rhs.x, *d_1]))}):",
-        "    return None",
-        f"return {_values(rhs.x)}, {_values(delta)}, _at, {_values(e)}, {tuple_text(f'abs({error})' for error in e)}",
+        *_assigned(moved),
+        f"_outputs = {tuple_text([*map(str, [*rhs.x, *d_1, *d_at, *d_std, *e]), 'True'])}",
+        f"return {_values([*rhs.x, *delta])}, _outputs, _at, {_values(e)}, {_values(u)}, {_values(d_1)}",
     ]
 
 

@@ -35,14 +35,15 @@ class RightHandSide:
 
 @dataclass(frozen=True)
 class Trial:
-    """One substep h of Dormand and Prince's method: x_after (n,), and `judgement` of it.
+    """One substep h of Dormand and Prince's method: x_after (n,), its `errors`, and the `tolerances` of them.
 
-    That assigns the names in `judged`, a pair of error and tolerance for each state that can have an error.
+    judged: the names of error and tolerance for each state.
     """
 
     assignments: Assignments
     x_after: tuple[sympy.Expr, ...]
-    judgement: Assignments
+    errors: Assignments
+    tolerances: Assignments
     judged: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]
 
 
@@ -106,16 +107,13 @@ def trial(rhs: RightHandSide, h: sympy.Symbol, d_at: Sequence[Sequence[sympy.Exp
         slopes.append(_named(lines, symbols(f"k{i}_", n), [value.xreplace(moved) for value in rhs.derivatives]))
     errors = [h * _combination(ERROR_WEIGHTS, [slope[j] for slope in slopes]) for j in range(n)]
     tolerances = [ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * sympy.Abs(value) for value in stage]
-    judged = tuple(zip(symbols("e_", n), symbols("l", n), strict=True))
+    error_names, tolerance_names = symbols("e_", n), symbols("l", n)
     return Trial(
         assignments=tuple(lines),
         x_after=tuple(stage),
-        judgement=tuple(
-            line
-            for names, values in zip(judged, zip(errors, tolerances, strict=True), strict=True)
-            for line in zip(names, values, strict=True)
-        ),
-        judged=judged,
+        errors=tuple(zip(error_names, errors, strict=True)),
+        tolerances=tuple(zip(tolerance_names, tolerances, strict=True)),
+        judged=tuple(zip(error_names, tolerance_names, strict=True)),
     )
 
 

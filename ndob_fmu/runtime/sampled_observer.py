@@ -24,6 +24,7 @@ from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
+from ndob_fmu.runtime.sampled_state import Confidence, Numbers, SampledState, StepAtRest
 from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_std, tuned_intensities
 from ndob_fmu.runtime.zeros import require_zeros_left_of
 
@@ -42,45 +43,6 @@ _LEAST_NOISE = 1e-10
 _START_UP = 3
 
 
-@dataclass  # never changed once made; frozen=True would make that cost a tenth of a step
-class SampledState:
-    """All that the observer remembers, as of just before the next sample.
-
-    xi_hat (N,): ξ̂⁻; factor (N,N): of its covariance; d_hat and d_std (q2,); at_rest: whether the gain is frozen;
-    tuned_at: the step (s) that the intensities were tuned for, 0 before the first one; refused: samples refused in a
-    row; age: steps since the start, as far as they count; u (m,): the last finite input; deviation (p,): how far the
-    last sample lay from its prediction, or could have lain where it was not used.
-    """
-
-    xi_hat: tuple[float, ...]
-    factor: Array
-    d_hat: tuple[float, ...]
-    d_std: tuple[float, ...]
-    at_rest: bool
-    tuned_at: float
-    refused: int
-    age: int
-    u: tuple[float, ...]
-    deviation: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class _Rest:
-    """What a design's steps have in common once the gain is frozen.
-
-    constants and gate_and_gain are k and r of `Steps.observer_step`; padding takes the place of the derivatives of d̂
-    beyond the order r; order_entries = r q2.
-    """
-
-    constants: tuple[float, ...]
-    gate_and_gain: tuple[float, ...]
-    padding: tuple[float, ...]
-    order_entries: int
-    M_H: tuple[tuple[float, ...], ...] | None
-    factor: Array
-    d_std: tuple[float, ...]
-
-
 @dataclass(frozen=True)
 class SampledObserver:
     """init(x̂₀) → state; step(state, u, y, H) → (state, estimate).
@@ -97,7 +59,7 @@ class SampledObserver:
     pi: float
     _tuned: Latest[Intensities] = field(default_factory=Latest, repr=False, compare=False)
     _designed: Latest[SampledDesign] = field(default_factory=Latest, repr=False, compare=False)
-    _rest: Latest[_Rest | None] = field(default_factory=Latest, repr=False, compare=False)
+    _rest: Latest[StepAtRest | None] = field(default_factory=Latest, repr=False, compare=False)
     _fades: Latest[bool] = field(default_factory=Latest, repr=False, compare=False)
     _steady_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
 
@@ -105,16 +67,18 @@ class SampledObserver:
         """Return the state before the first sample, from x̂₀ (n,)."""
         q = len(self.known.disturbance_bound)
         return SampledState(
-            xi_hat=(*map(float, x_hat), *(0.0,) * (self.system.order * q)),
-            factor=self._prior_factor(),
+            xi_hat=(*map(float, x_hat), *(0.0,) * (HIGHEST_ORDER * q)),
             d_hat=(0.0,) * q,
-            d_std=numbers(self.known.disturbance_bound),
-            at_rest=False,
-            tuned_at=0.0,
-            refused=0,
-            age=0,
             u=(0.0,) * self.system.linear.B.shape[1],
             deviation=(np.inf,) * len(self.system.C),
+            confidence=Confidence(
+                factor=self._prior_factor(),
+                d_std=numbers(self.known.disturbance_bound),
+                at_rest=False,
+                tuned_at=0.0,
+                refused=0,
+                age=0,
+            ),
         )
 
     def design(self, H: float, tuned_at: float | None = None) -> SampledDesign:
@@ -130,60 +94,64 @@ class SampledObserver:
 
     def estimate(self, state: SampledState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
-        residual, finite = self._residual(np.array(state.xi_hat), y)
+        residual, finite = self._residual(self._xi(state), y)
         return Estimate(
             x_hat=state.xi_hat[: self._n],
             d_hat=state.d_hat,
             x_at_sample=state.xi_hat[: self._n],
             d_at_sample=state.d_hat,
-            d_std=state.d_std,
+            d_std=state.confidence.d_std,
             residual=numbers(residual),
             valid=finite,
         )
 
     def step(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
-        # Whether this way is taken depends on the arguments alone, so that a state that is restored goes on as it did.
-        return (state.at_rest and self._step_at_rest(state, u, y, H)) or self.step_by_definition(state, u, y, H)
+        done = self.step_at_rest(state, (*map(float, u), *map(float, y)), H)
+        if done is None:
+            return self.step_by_definition(state, u, y, H)
+        after, outputs, xi_at_sample = done
+        n, q = self._n, len(after.d_hat)
+        return after, Estimate(
+            x_hat=outputs[:n],
+            d_hat=after.d_hat,
+            x_at_sample=xi_at_sample[:n],
+            d_at_sample=outputs[n + q : n + 2 * q],
+            d_std=after.confidence.d_std,
+            residual=after.deviation,
+            valid=True,
+        )
 
-    def _step_at_rest(
-        self, state: SampledState, u: Vector, y: Vector, H: float
-    ) -> tuple[SampledState, Estimate] | None:
-        """Return what `step` does with a usual sample once the gain is frozen; None for any other."""
-        tuned_at = state.tuned_at
-        rest = self._rest((H, tuned_at), lambda: self._prepared(H, tuned_at))
-        if rest is None:
-            return None
-        u, y = _plain(u), _plain(y)
+    def step_at_rest(
+        self, state: SampledState, inputs: Vector, H: float
+    ) -> tuple[SampledState, tuple[float, ...], Numbers] | None:
+        """Return what `step` does with a usual sample once the gain is frozen, None for any other; inputs: u and y.
+
+        That is the state, the numbers of `Estimate` in their order but for x_at_sample, with `valid`, and ξ̂ at the
+        sample (n + 3 q2,).
+        """
+        # Whether this way is taken depends on the arguments alone, so that a state that is restored goes on as it did.
+        confidence = state.confidence
+        rest = self._rest.value
+        if rest is None or rest.confidence is not confidence or rest.H != H:
+            tuned_at = confidence.tuned_at
+            rest = self._rest((H, tuned_at), lambda: self._at_rest(H, tuned_at)) if confidence.at_rest else None
+            if rest is None:
+                return None
         try:
-            done = self.equations.steps.observer_step(
-                state.xi_hat + rest.padding, u, y, rest.constants, rest.gate_and_gain, H
-            )
+            done = self.equations.steps.observer_step(state.xi_hat, inputs, rest.constants, rest.frozen, H)
         except (ArithmeticError, ValueError):
             return None
         if done is None:
             return None
-        x_hat, ahead, xi_at_sample, residual, deviation = done
-        q, n = len(state.d_hat), len(x_hat)
-        if rest.M_H is None:
-            d_hat, d_at_sample = ahead[:q], xi_at_sample[n : n + q]
-        else:
-            d_hat = d_at_sample = tuple(sum(map(mul, row, residual)) for row in rest.M_H)
-        after = SampledState(
-            x_hat + ahead[: rest.order_entries],
-            rest.factor,
-            d_hat,
-            rest.d_std,
-            True,
-            tuned_at,
-            0,
-            state.age,
-            u,
-            deviation,
-        )
-        return after, Estimate(x_hat, d_hat, xi_at_sample[:n], d_at_sample, rest.d_std, residual, True)
+        xi_hat, outputs, xi_at_sample, residual, u, d_hat = done
+        if rest.M_H is not None:
+            n, q = self._n, len(d_hat)
+            d_hat = tuple(sum(map(mul, row, residual)) for row in rest.M_H)
+            outputs = outputs[:n] + d_hat + d_hat + outputs[n + 2 * q :]
+        return SampledState(xi_hat, d_hat, u, residual, rest.confidence), outputs, xi_at_sample
 
-    def _prepared(self, H: float, tuned_at: float) -> _Rest | None:
+    def _at_rest(self, H: float, tuned_at: float) -> StepAtRest | None:
         if self._tuned_elsewhere(H, tuned_at):
             return None
         try:
@@ -191,39 +159,47 @@ class SampledObserver:
         except (ArithmeticError, ValueError):
             return None
         design = self.design(H, tuned_at)
-        entries = self.system.order * len(self.known.disturbance_bound)
-        missing = HIGHEST_ORDER * len(self.known.disturbance_bound) - entries
+        missing = HIGHEST_ORDER * len(self.known.disturbance_bound) - len(self.system.A) + self._n
         K = np.vstack([design.rest.K, np.zeros((missing, len(self.system.C)))])
         gate = self._usual_deviation(design.rest.innovation_factor, design)
-        return _Rest(
+        d_std = numbers(self._std(design, design.prior_factor))
+        return StepAtRest(
+            H=H,
             constants=constants,
-            gate_and_gain=(*gate.tolist(), *K.ravel().tolist()),
-            padding=(0.0,) * missing,
-            order_entries=entries,
+            frozen=(*gate.tolist(), *d_std, *K.ravel().tolist()),
             M_H=None if design.M_H is None else tuple(map(tuple, design.M_H.tolist())),
-            factor=design.prior_factor,
-            d_std=numbers(self._std(design, design.prior_factor)),
+            confidence=Confidence(
+                factor=design.prior_factor,
+                d_std=d_std,
+                at_rest=True,
+                tuned_at=tuned_at,
+                refused=0,
+                age=self._start_up,
+            ),
         )
 
     def step_by_definition(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
         """Do what `step` does for every state and every sample."""
-        tuned_at = H if self._tuned_elsewhere(H, state.tuned_at) else state.tuned_at
+        before = state.confidence
+        tuned_at = H if self._tuned_elsewhere(H, before.tuned_at) else before.tuned_at
         design = self.design(H, tuned_at)
         inputs = tuple(map(float, u))
         if not np.all(np.isfinite(inputs)):
             inputs = state.u
-        xi_hat, factor, d_hat = np.array(state.xi_hat), state.factor, np.array(state.d_hat)
+        xi_hat, factor, d_hat = self._xi(state), before.factor, np.array(state.d_hat)
         residual, used = self._residual(xi_hat, y)
-        measured = design.rest if state.at_rest else update(factor, self.system.C, design.sample_factor)
-        refused, age = 0, state.age
+        measured = design.rest if before.at_rest else update(factor, self.system.C, design.sample_factor)
+        refused, age = 0, before.age
         # Before it first comes to rest the covariance knows nothing of f's error, so that no sample can be implausible.
-        judged = state.at_rest or state.refused > 0
-        deviation = np.abs(residual)
-        if judged and not (used and np.all(deviation <= self._usual_deviation(measured.innovation_factor, design))):
-            plausible = self._plausible_deviation(np.array(state.deviation), measured.innovation_factor, design)
-            implausible = used and not np.all(deviation <= plausible)
+        judged = before.at_rest or before.refused > 0
+        deviation = residual
+        if judged and not (
+            used and np.all(np.abs(deviation) <= self._usual_deviation(measured.innovation_factor, design))
+        ):
+            plausible = self._plausible_deviation(np.abs(state.deviation), measured.innovation_factor, design)
+            implausible = used and not np.all(np.abs(deviation) <= plausible)
             if implausible:
-                used, refused = False, state.refused + 1
+                used, refused = False, before.refused + 1
             if not used:
                 deviation = plausible
             if refused > _MOST_REFUSALS:
@@ -234,31 +210,37 @@ class SampledObserver:
             xi_hat, factor = xi_hat + measured.K @ residual, measured.factor
             d_hat = self._disturbance(xi_hat, design, measured, residual)
         at_rest = used and age >= self._start_up
-        at_rest = at_rest and (state.at_rest or gain_change(measured, design.rest) <= _AT_REST)
+        at_rest = at_rest and (before.at_rest or gain_change(measured, design.rest) <= _AT_REST)
         factor = design.prior_factor if at_rest else self._covariance_ahead(factor, design, age)
         xi_after = self._predicted(xi_hat, d_hat, list(inputs), H, coasting=not used)
         d_after = xi_after[self._n : self._n + len(d_hat)] if self.system.order else d_hat
         after = SampledState(
-            xi_hat=numbers(xi_after),
-            factor=factor,
+            xi_hat=numbers(xi_after) + (0.0,) * (len(state.xi_hat) - len(xi_after)),
             d_hat=numbers(d_after),
-            d_std=numbers(self._std(design, factor)),
-            at_rest=at_rest,
-            tuned_at=tuned_at,
-            refused=refused,
-            age=min(age + 1, self._start_up),
             u=inputs,
             deviation=numbers(deviation),
+            confidence=Confidence(
+                factor=factor,
+                d_std=numbers(self._std(design, factor)),
+                at_rest=at_rest,
+                tuned_at=tuned_at,
+                refused=refused,
+                age=min(age + 1, self._start_up),
+            ),
         )
         return after, Estimate(
             x_hat=numbers(xi_after[: self._n]),
             d_hat=after.d_hat,
             x_at_sample=numbers(xi_hat[: self._n]),
             d_at_sample=numbers(d_hat),
-            d_std=after.d_std,
+            d_std=after.confidence.d_std,
             residual=numbers(residual),
             valid=used,
         )
+
+    def _xi(self, state: SampledState) -> Array:
+        """Return ξ̂⁻ (N,)."""
+        return np.array(state.xi_hat[: len(self.system.A)])
 
     def _residual(self, xi_hat: Array, y: Vector) -> tuple[Array, bool]:
         """Return y − C ξ̂⁻ (p,) and whether the sample is finite; the residual of one that is not is 0."""
@@ -420,11 +402,6 @@ def sampled_observer(
 def _key(design: SampledDesign) -> tuple[float, ...]:
     """Return what tells a design from others of the same observer."""
     return design.discrete.H, design.intensities.scale, design.intensities.f, *design.intensities.disturbance.tolist()
-
-
-def _plain(values: Vector | Array) -> tuple[float, ...]:
-    """Return the values as numbers of Python, with which the generated code is fast."""
-    return numbers(values) if isinstance(values, np.ndarray) else tuple(values)
 
 
 def _require(name: str, condition: bool, expected: str, received: object) -> None:
