@@ -33,7 +33,6 @@ from ndob_fmu.runtime.errors import NdobError
 from ndob_fmu.runtime.interface import Variable
 
 _TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer, "String": String}
-_NEVER: tuple[None, Any] = (None, None)
 _NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
 
 
@@ -64,8 +63,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._input_references = frozenset(self._references("input"))
         self._shown = self.stretch([variable.name for variable in variables if variable.causality == "output"])
         self._parameter_references = self._references("parameter")
-        self._read: dict[str, tuple[list[int], slice | None]] = {}
-        self._written: dict[str, tuple[list[int], slice]] = {}
+        # The references that were asked for and set last, and the slice that they are; None where they are none.
+        self._real_outputs: tuple[list[int], slice | None] = ([], None)
+        self._real_inputs: tuple[list[int], slice | None] = ([], None)
         self._refused: dict[int, str] = {}
         self._started_with: tuple[Any, ...] | None = None
         self._initializing = False
@@ -154,7 +154,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
                 with np.errstate(all="ignore"):
                     outputs = self.advance(current_time, step_size)
-            self._publish(outputs)
+            self._values[self._shown] = outputs
         except FAILURES as error:
             self.state = before
             self._say(failure("step", error), Fmi2Status.discard)
@@ -166,7 +166,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return the values of Real variables."""
-        return self._get("Real", vrs)
+        # Hosts ask for the same ones again and again, most often for some that are declared one after another.
+        known, at = self._real_outputs
+        if vrs != known or self._stale or at is None:
+            return self._get("Real", vrs)
+        return self._values[at]
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Return the values of Boolean variables."""
@@ -182,7 +186,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Set Real variables."""
-        self._set("Real", vrs, values)
+        known, at = self._real_inputs
+        if vrs != known or self._initializing or at is None:
+            self._set("Real", vrs, values)
+        else:
+            self._values[at] = values
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         """Set Boolean variables."""
@@ -296,33 +304,24 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         return f"{type(self).__module__}.{type(self).__name__}"
 
     def _get(self, kind: str, vrs: list[int]) -> list[Any]:
-        # Hosts ask for the same variables again and again, most often for some that are declared one after another.
-        known, at = self._read.get(kind, _NEVER)
-        if vrs != known:
+        if kind != "Real" or vrs != self._real_outputs[0]:
             if not self._known(kind, vrs):
                 return [_NOTHING[kind]] * len(vrs)
-            at = _stretch(vrs)
-            self._read[kind] = vrs, at
+            if kind == "Real":
+                self._real_outputs = vrs, _stretch(vrs)
         if self._stale:
             self._refresh()
-        values = self._values
-        return [values[vr] for vr in vrs] if at is None else values[at]
+        return [self._values[vr] for vr in vrs]
 
     def _set(self, kind: str, vrs: list[int], new: list[Any]) -> None:
-        inputs, at = self._written.get(kind, _NEVER)
-        if vrs == inputs:
-            self._values[at] = new
-            self._stale = self._initializing
-            return
         if not self._known(kind, vrs):
             return
         for vr, value in zip(vrs, new, strict=True):
             if vr in self._input_references or self._may_set(vr, value):
                 self._values[vr] = value
         self._stale = self._initializing
-        at = _stretch(vrs)
-        if at is not None and self._input_references.issuperset(vrs):
-            self._written[kind] = vrs, at
+        if kind == "Real" and self._input_references.issuperset(vrs):
+            self._real_inputs = vrs, _stretch(vrs)
 
     def _known(self, kind: str, vrs: list[int]) -> bool:
         known = self._of_type[kind]
@@ -369,15 +368,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 shown = self.show()
             if len(shown) != len(self._values[self._shown]):
                 raise ValueError(f"{len(shown)} values for other outputs than that")
-            self._publish(shown)
+            self._values[self._shown] = shown
         except FAILURES as error:
             self._say(failure("start", error))
             return False
         self._stale = False
         return True
-
-    def _publish(self, outputs: Sequence[Any]) -> None:
-        self._values[self._shown] = outputs
 
 
 def _stretch(vrs: list[int]) -> slice | None:

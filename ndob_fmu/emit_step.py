@@ -76,9 +76,9 @@ def _functions(part: str, rhs: RightHandSide, p: Symbols, arguments: str, step: 
 
 
 def _plant_step(rhs: RightHandSide, u: Symbols) -> list[str]:
-    """Return the trial of a substep h: x after it and the norm of its error. _d holds d at the six different nodes."""
-    stages = _rows(symbols("d", (len(NODES) - 1) * len(rhs.d)), len(rhs.d))
-    tried = trial(rhs, sympy.Symbol("_h", real=True), [*stages, stages[-1]])
+    """Return the trial of a substep h: x after it and the norm of its error. _d holds d at the nodes."""
+    stages = _rows(symbols("d", len(NODES) * len(rhs.d)), len(rhs.d))
+    tried = trial(rhs, sympy.Symbol("_h", real=True), stages)
     return [
         *_unpacked(rhs.x, "_x"),
         *_unpacked(u, "_u"),
@@ -104,19 +104,20 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
     update = correction(rhs, delta, y, _rows(gain, p))
     e = [symbol for symbol, _ in update.residuals]
 
-    # d̂ is continued by its Taylor series, from substep to substep; the last two stages are both at its end.
+    # d̂ is continued by its Taylor series, from substep to substep.
     d_1, d_2, d_3 = _rows(delta, q)
-    h, halves, d_at = sympy.Symbol("_h", real=True), symbols("a", q), symbols("b", q)
-    times = [*symbols("t", len(NODES) - 3), h]
-    stages = _rows(symbols("d", len(times) * q), q)
+    h, d_at, rise, bend = sympy.Symbol("_h", real=True), symbols("o", q), symbols("a", q), symbols("b", q)
+    stages = _rows(symbols("d", len(NODES) * q), q)
     continued = [
-        (stage[j], d_1[j] + time * (d_2[j] + time * halves[j]))
-        for time, stage in zip(times, stages, strict=True)
+        (stage[j], d_1[j] + (rise[j] + bend[j] if node == 1.0 else node * rise[j] + node**2 * bend[j]))
+        for node, stage in zip(NODES, stages, strict=True)
         for j in range(q)
+        if node
     ]
-    tried = trial(rhs, h, [d_1, *stages, stages[-1]])
+    tried = trial(rhs, h, [d_1, *stages[1:]])
     moved = [
-        *zip([*rhs.x, *d_1], [*tried.x_after, *stages[-1]], strict=True),
+        *zip(rhs.x, tried.x_after, strict=True),
+        *zip(d_1, stages[NODES.index(1.0)], strict=True),
         *((symbol, symbol + h * change) for symbol, change in zip(d_2, d_3, strict=True)),
     ]
     # Most errors are below what is tolerated in any state, so that the tolerances need not be known; and where they
@@ -138,12 +139,12 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         f"_at = {_values([*rhs.x, *delta])}",
         *_assigned(zip(d_at, d_1, strict=True)),
         *_assigned(rhs.held),
-        *(f"{half} = 0.5 * {third}" for half, third in zip(halves, d_3, strict=True)),
         "_t = 0.0",
         "_h = _left = _H",
         "_trials = 1",
         "while True:",
-        *(f"    {time} = {node!r} * _h" for time, node in zip(times[:-1], NODES[1:], strict=False)),
+        *(f"    {name} = _h * {value}" for name, value in zip(rise, d_2, strict=True)),
+        *(f"    {name} = 0.5 * _h * _h * {value}" for name, value in zip(bend, d_3, strict=True)),
         *_indented(_assigned(continued)),
         *_indented(_assigned(tried.assignments)),
         *_indented(_assigned(tried.errors)),

@@ -12,7 +12,14 @@ from dataclasses import dataclass, field
 
 import sympy
 
-from ndob_fmu.runtime.integrate import ABSOLUTE_TOLERANCE, ERROR_WEIGHTS, NODES, RELATIVE_TOLERANCE, WEIGHTS
+from ndob_fmu.runtime.integrate import (
+    ABSOLUTE_TOLERANCE,
+    ERROR_WEIGHTS,
+    NODES,
+    RELATIVE_TOLERANCE,
+    STAGE_WEIGHTS,
+    WEIGHTS,
+)
 
 Assignments = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
 
@@ -35,7 +42,7 @@ class RightHandSide:
 
 @dataclass(frozen=True)
 class Trial:
-    """One substep h of Dormand and Prince's method: x_after (n,), its `errors`, and the `tolerances` of them.
+    """One substep h of Cash and Karp's method: x_after (n,), its `errors`, and the `tolerances` of them.
 
     judged: the names of error and tolerance for each state.
     """
@@ -86,31 +93,32 @@ def right_hand_side(
 
 
 def trial(rhs: RightHandSide, h: sympy.Symbol, d_at: Sequence[Sequence[sympy.Expr]]) -> Trial:
-    """Return a substep h from rhs.x, with the disturbance d_at[i] (q2,) at stage i of 7."""
+    """Return a substep h from rhs.x, with the disturbance d_at[i] (q2,) at stage i."""
     n = len(rhs.x)
-    lines: list[tuple[sympy.Symbol, sympy.Expr]] = []
+    first_h = sympy.Symbol("_f", real=True)
+    lines: list[tuple[sympy.Symbol, sympy.Expr]] = [(first_h, sympy.Float(NODES[1]) * h)]
     slopes: list[list[sympy.Expr]] = []
-    stage: Sequence[sympy.Expr] = rhs.x
-    for i in range(len(NODES)):
-        if i:
-            weights = WEIGHTS[i]
-            stage = _named(
-                lines,
-                symbols(f"x{i}_", n),
-                [rhs.x[j] + h * _combination(weights, [slope[j] for slope in slopes]) for j in range(n)],
-            )
-        moved = dict(zip([*rhs.x, *rhs.d], [*stage, *d_at[i]], strict=True))
+
+    def moved_by(weights: Sequence[float], stem: str) -> list[sympy.Expr]:
+        moved = [rhs.x[j] + h * _combination(weights, [slope[j] for slope in slopes]) for j in range(n)]
+        if len(weights) == 1:
+            moved = [rhs.x[j] + first_h * slopes[0][j] for j in range(n)]
+        return _named(lines, symbols(stem, n), moved)
+
+    for i, (weights, d) in enumerate(zip(STAGE_WEIGHTS, d_at, strict=True)):
+        stage = dict(zip([*rhs.x, *rhs.d], [*moved_by(weights, f"x{i}_"), *d], strict=True))
         for name, value in rhs.varying:
             renamed = sympy.Symbol(f"{name.name}_{i}", real=True)
-            lines.append((renamed, value.xreplace(moved)))
-            moved[name] = renamed
-        slopes.append(_named(lines, symbols(f"k{i}_", n), [value.xreplace(moved) for value in rhs.derivatives]))
+            lines.append((renamed, value.xreplace(stage)))
+            stage[name] = renamed
+        slopes.append(_named(lines, symbols(f"k{i}_", n), [value.xreplace(stage) for value in rhs.derivatives]))
+    x_after = moved_by(WEIGHTS, f"x{len(NODES)}_")
     errors = [h * _combination(ERROR_WEIGHTS, [slope[j] for slope in slopes]) for j in range(n)]
-    tolerances = [ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * sympy.Abs(value) for value in stage]
+    tolerances = [ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * sympy.Abs(value) for value in x_after]
     error_names, tolerance_names = symbols("e_", n), symbols("l", n)
     return Trial(
         assignments=tuple(lines),
-        x_after=tuple(stage),
+        x_after=tuple(x_after),
         errors=tuple(zip(error_names, errors, strict=True)),
         tolerances=tuple(zip(tolerance_names, tolerances, strict=True)),
         judged=tuple(zip(error_names, tolerance_names, strict=True)),

@@ -75,7 +75,7 @@ class Steps:
     """The work of a step as straight-line functions on scalars; they do what `plant` and `sampled_observer` define.
 
     plant_constants(p) and observer_constants(p) return what the steps take as k: all that the parameters alone decide.
-    plant_step(x, u, d, k, h) tries a substep h (s), with d (6 q2,) one after another at the different nodes of
+    plant_step(x, u, d, k, h) tries a substep h (s), with d (6 q2,) one after another at the nodes of
     `integrate`, and returns x after it and the norm of its error.
     observer_step(xi_hat, inputs, k, r, H) takes a whole step with the gain at rest from ξ̂⁻ = [x̂; δ₁ … δ₃], for u (m,)
     and a sample y (p,) one after the other; r holds the largest usual residuals (p,), the error bar of d̂ (q2,), then K

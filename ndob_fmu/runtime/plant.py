@@ -91,7 +91,7 @@ class Plant:
 
         def trial(since: float, x: Vector, h: float) -> tuple[tuple[float, ...], float]:
             total: list[float] = []
-            for node in NODES[:-1]:
+            for node in NODES:
                 total += self.disturbance(min(begin + min(since + node * h, last_since), last), d)
             return plant_step(x, u, total, constants, h)
 

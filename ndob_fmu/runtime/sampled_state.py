@@ -27,7 +27,7 @@ class Confidence:
     age: int
 
 
-@dataclass  # never changed once made; frozen=True would make that cost a tenth of a step
+@dataclass(slots=True)  # never changed once made; frozen=True would make that cost a tenth of a step
 class SampledState:
     """All that the observer remembers, as of just before the next sample.
 
