@@ -20,6 +20,7 @@ lint: .venv/installed-test
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.performance
 
 regression: .venv/installed-test build
 	$(BIN)/python fmus/regression.py build/fmus
