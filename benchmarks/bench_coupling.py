@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,20 +30,23 @@ TEXT = (
     "memory, libcosim every Real one in memory, ecos every one in a CSV file; the runs that record nothing are a lower "
     "bound for them. The bare loop makes the same FMI calls through fmpy's functions (doStep, set of the samples, get "
     "of all Real outputs and of `valid`) with memory laid down once, in which the observer reads the samples where the "
-    "plant has written them, and records nothing. Other work on the machine spoils the clock more than the processors' "
-    "time."
+    "plant has written them, and records nothing. The bounds are on the processors' time: what else the "
+    "machine does spoils the clock."
 )
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_coupling(benchmark, section, tmp_path, method):
-    plant, observer = build(load_model("flexible_joint"), tmp_path)
+    model = load_model("flexible_joint")
+    # ecos and libcosim do not hand an enumeration of the package to the FMU: the method is the FMU's own start value.
+    model = replace(model, observer=replace(model.observer, method=method))
+    plant, observer = build(model, tmp_path)
     source = shutil.copytree(shipped_folder("ssp") / "open_loop", tmp_path / "open_loop")
     values = source / "observer.ssv"
-    shipped = '<ssv:Parameter name="method">\n      <ssv:Integer value="1"/>'
+    shipped = '<ssv:Parameter name="method">\n      <ssv:Integer value="1"/>\n    </ssv:Parameter>'
     assert shipped in values.read_text("utf-8")
-    values.write_text(values.read_text("utf-8").replace(shipped, shipped.replace('"1"', f'"{method}"')), "utf-8")
-    job = Job(str(build_ssp(source, tmp_path, tmp_path)), str(plant), str(observer), {"method": method})
+    values.write_text(values.read_text("utf-8").replace(shipped, ""), "utf-8")
+    job = Job(str(build_ssp(source, tmp_path, tmp_path)), str(plant), str(observer))
     rounds = []
 
     def once():
@@ -59,8 +63,8 @@ def test_coupling(benchmark, section, tmp_path, method):
             text=f"{TEXT} {len(rounds)} rounds.",
             ratios=tuple(
                 compared(f"our master, method {method}, {of}", tool, times["ours"][:, i], times[tool][:, i], bound)
-                for tool, bound in PEERS.items()
-                for i, of in enumerate(CLOCKS)
+                for tool, required in PEERS.items()
+                for i, (of, bound) in enumerate(zip(CLOCKS, (None, required), strict=True))
             ),
             times=tuple(
                 Time(f"{tool}, {of}", float(np.median(times[tool][:, i])))

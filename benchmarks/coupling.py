@@ -15,8 +15,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
@@ -26,15 +26,11 @@ CONNECTIONS = ("motor_angle", "link_angle")
 
 @dataclass(frozen=True)
 class Job:
-    """package: path of the SSP that the tools run; plant, observer: of its FMUs, which the bare loop runs.
-
-    starts: of the observer, as the package gives them.
-    """
+    """package: path of the SSP that the tools run; plant, observer: of its FMUs, which the bare loop runs."""
 
     package: str
     plant: str
     observer: str
-    starts: Mapping[str, float] = field(default_factory=dict)
     step_size: float = 1e-3
     steps: int = 20_000
 
@@ -82,10 +78,6 @@ def bare(job: Job) -> None:
         fmus[name] = fmu
         references[name] = {v.name: v for v in description.modelVariables}
     plant, observer = fmus["plant"], fmus["observer"]
-    for name, value in job.starts.items():
-        variable = references["observer"][name]
-        setter = observer.setReal if variable.type == "Real" else observer.setInteger
-        setter([variable.valueReference], [value])
     for fmu in fmus.values():
         fmu.enterInitializationMode()
 

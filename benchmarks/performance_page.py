@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
+from textwrap import wrap
 
 from benchmarks.figures import Ratio, Section
 
@@ -13,9 +14,11 @@ PACKAGES = ("numpy", "fmpy", "pythonfmu", "libcosimpy", "ecospy")
 
 _TOP = """# Performance
 
-Written by `python -m benchmarks.performance` (`make bench`); do not edit. Each figure is a ratio of times that were
-measured in one run, in turns, as the median over the rounds with its quartiles: it says more than times, which are
-those of one machine. Below 1 ours is faster. A bound is what the project requires of itself.
+<!-- Written by `python -m benchmarks.performance`; changes belong there. -->
+
+Each figure is a ratio of times that were measured in one run, in turns, as the median over the rounds with its
+quartiles: it says more than times, which are those of one machine. They are the processors' times where nothing else
+is said; below 1 ours is faster. A bound is what the project requires of itself.
 
 Measured with Python {python}, {packages}, on {processors} processors.
 """
@@ -31,7 +34,7 @@ def text(sections: Iterable[Section]) -> str:
     )
     parts = [top, "## Ratios\n", ratio_table([row for section in ordered for row in section.ratios])]
     for section in ordered:
-        parts += [f"## {section.title}\n", f"{section.text}\n"]
+        parts += [f"## {section.title}\n", "\n".join(wrap(section.text, 120)) + "\n"]
         parts.append(_table(("", "median"), [(row.what, duration(row.seconds)) for row in section.times]))
     return "\n".join(parts)
 
