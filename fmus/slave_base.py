@@ -131,15 +131,18 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the core; a step that cannot be taken is logged and changes nothing."""
-        fault = step_fault(current_time, step_size, self._time)
-        if fault:
-            self._say(fault, Fmi2Status.discard)
-            return False
         end = current_time + step_size
-        fault = stop_fault(end, step_size, self._stop_time)
-        if fault:
-            self._say(fault)
-            return False
+        goes_on_as_it_did = step_size and step_size == self._step_size and current_time == self._time
+        if not goes_on_as_it_did:
+            fault = step_fault(current_time, step_size, self._time)
+            if fault:
+                self._say(fault, Fmi2Status.discard)
+                return False
+        if self._stop_time is not None:
+            fault = stop_fault(end, step_size, self._stop_time)
+            if fault:
+                self._say(fault)
+                return False
         if self._initializing:  # without a front the host did not learn that initialization failed
             self.exit_initialization_mode()
             if self._initializing:

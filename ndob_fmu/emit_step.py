@@ -108,12 +108,15 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
     d_1, d_2, d_3 = _rows(delta, q)
     h, d_at, rise, bend = sympy.Symbol("_h", real=True), symbols("o", q), symbols("a", q), symbols("b", q)
     stages = _rows(symbols("d", len(NODES) * q), q)
-    continued = [
-        (stage[j], d_1[j] + (rise[j] + bend[j] if node == 1.0 else node * rise[j] + node**2 * bend[j]))
-        for node, stage in zip(NODES, stages, strict=True)
-        for j in range(q)
-        if node
-    ]
+    rising, bending = (
+        [
+            (stage[j], d_1[j] + sum(_power(node, i) * term[j] for i, term in enumerate(terms, 1)))
+            for node, stage in zip(NODES, stages, strict=True)
+            for j in range(q)
+            if node
+        ]
+        for terms in ((rise,), (rise, bend))
+    )
     tried = trial(rhs, h, [d_1, *stages[1:]])
     moved = [
         *zip(rhs.x, tried.x_after, strict=True),
@@ -144,8 +147,11 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         "_trials = 1",
         "while True:",
         *(f"    {name} = _h * {value}" for name, value in zip(rise, d_2, strict=True)),
-        *(f"    {name} = 0.5 * _h * _h * {value}" for name, value in zip(bend, d_3, strict=True)),
-        *_indented(_assigned(continued)),
+        f"    if {' or '.join(map(str, d_3))}:",
+        *(f"        {name} = 0.5 * _h * _h * {value}" for name, value in zip(bend, d_3, strict=True)),
+        *_indented(_indented(_assigned(bending))),
+        "    else:",  # as it is up to the order r = 2
+        *_indented(_indented(_assigned(rising))),
         *_indented(_assigned(tried.assignments)),
         *_indented(_assigned(tried.errors)),
         f"    if _h == _left and {usually}:",
@@ -194,6 +200,10 @@ def _values(expressions: Iterable[sympy.Expr]) -> str:
 
 def _error_norm(judged: Sequence[tuple[sympy.Symbol, sympy.Symbol]]) -> str:
     return f"_largest({tuple_text(f'abs({error}) / {tolerance}' for error, tolerance in judged)})"
+
+
+def _power(node: float, exponent: int) -> sympy.Expr:
+    return sympy.S.One if node == 1.0 else sympy.Float(node**exponent)
 
 
 def _rows(entries: Symbols, columns: int) -> list[Symbols]:

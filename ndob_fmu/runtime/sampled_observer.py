@@ -139,7 +139,7 @@ class SampledObserver:
             if rest is None:
                 return None
         try:
-            done = self.equations.steps.observer_step(state.xi_hat, inputs, rest.constants, rest.frozen, H)
+            done = rest.observer_step(state.xi_hat, inputs, rest.constants, rest.frozen, H)
         except (ArithmeticError, ValueError):
             return None
         if done is None:
@@ -165,6 +165,7 @@ class SampledObserver:
         d_std = numbers(self._std(design, design.prior_factor))
         return StepAtRest(
             H=H,
+            observer_step=self.equations.steps.observer_step,
             constants=constants,
             frozen=(*gate.tolist(), *d_std, *K.ravel().tolist()),
             M_H=None if design.M_H is None else tuple(map(tuple, design.M_H.tolist())),

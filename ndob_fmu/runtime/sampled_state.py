@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.riccati import Array
 
 Numbers: TypeAlias = tuple[float, ...]
@@ -47,10 +49,12 @@ class SampledState:
 class StepAtRest:
     """What all steps of one length H (s) have in common once the gain is frozen.
 
-    constants and frozen: k and r of `equations.Steps`. M_H (q2,p): None but for r = 0. confidence: at rest.
+    observer_step is that of `equations.Steps`, constants and frozen are its k and r. M_H (q2,p): None but for r = 0.
+    confidence: at rest.
     """
 
     H: float
+    observer_step: Callable[[Vector, Vector, Vector, Vector, float], tuple[Numbers, ...] | None]
     constants: Numbers
     frozen: Numbers
     M_H: tuple[Numbers, ...] | None
