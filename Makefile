@@ -22,6 +22,7 @@ bench: .venv/installed-test
 	$(BIN)/python -m benchmarks.accuracy
 	$(BIN)/python -m benchmarks.disturbance_rejection
 	$(BIN)/python -m benchmarks.native_calls
+	$(BIN)/python -m benchmarks.performance
 
 docs: .venv/installed-test build
 	$(BIN)/python docs/fmu_reference.py build/fmus

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -53,11 +53,11 @@ class ControllerSlave(Slave):
         )
         self.state = ControllerMemory(self.controller.start(), (0.0,) * len(self.inputs))
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the command for the inputs set so far."""
         return self._command()
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Return the command for the inputs at the start of the step."""
         return self._command()
 

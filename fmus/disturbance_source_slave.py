@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
@@ -25,11 +25,11 @@ class DisturbanceSourceSlave(Slave):
         self.signal: Signal = disturbance_source(kind, **dict(zip(names[1:], options, strict=True)))
         self.state = start_time
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the disturbance at the start."""
         return [self.signal(self.state)]
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Return the disturbance at the end of the step."""
         self.state = t + step_size
         return [self.signal(self.state)]

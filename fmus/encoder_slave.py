@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
@@ -30,12 +30,12 @@ class EncoderSlave(Slave):
         )
         self.state = self.encoder.init(self.value("angle"), start_time)
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the first sample, of the angle set so far."""
         self.state = self.encoder.init(self.value("angle"), self.state.start_time)
         return self._outputs()
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Go to the end of the step."""
         self.state = self.encoder.step(self.state, self.value("angle"), t + step_size, step_size)
         return self._outputs()

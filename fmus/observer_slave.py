@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
@@ -12,18 +12,20 @@ from ndob_fmu.runtime.hold import History
 from ndob_fmu.runtime.interface import METHODS, for_each_disturbance, observer_variables
 from ndob_fmu.runtime.observer import Estimate
 from ndob_fmu.runtime.paper_observer import ObserverState, PaperObserver, paper_observer
-from ndob_fmu.runtime.sampled_observer import SampledObserver, SampledState, sampled_observer
+from ndob_fmu.runtime.sampled_observer import SampledObserver, sampled_observer
+from ndob_fmu.runtime.sampled_state import Confidence, SampledState
 from ndob_fmu.runtime.schedule import PiSchedule
 
 
 class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
-    state_types = (SampledState, ObserverState, History, ChannelState)
+    state_types = (SampledState, Confidence, ObserverState, History, ChannelState)
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
         super().__init__(observer_variables(equations), equations.experiment, equations.description, **kwargs)
+        self._inputs = self.stretch([*equations.inputs, *equations.outputs])
 
     def start(self, start_time: float) -> None:
         """Make the observer and start it from the given estimate of the state."""
@@ -34,13 +36,24 @@ class ObserverSlave(Slave):
             make(),
             disturbance_bound=self._for_disturbances("disturbance_bound"),
         )
+        self._step_at_rest = self.observer.step_at_rest if isinstance(self.observer, SampledObserver) else None
         self.state = self.observer.init(self._for_states("hat_start"))
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the estimate that the first sample alone gives."""
         return _outputs(self.observer.estimate(self.state, self.values(self.equations.outputs)))
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
+        """Do so once the gain is frozen, with samples as they usually are."""
+        if self._step_at_rest is None:
+            return None
+        done = self._step_at_rest(self.state, self._values[self._inputs], step_size)
+        if done is None:
+            return None
+        self.state, outputs, _ = done
+        return outputs
+
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Take in the sample at the start of the step and predict its end."""
         eq = self.equations
         u, y = self.values(eq.inputs), self.values(eq.outputs)

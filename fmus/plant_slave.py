@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -33,6 +33,7 @@ class PlantSlave(Slave):
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
         super().__init__(plant_variables(equations), equations.experiment, equations.description, **kwargs)
+        self._inputs_at = self.stretch([*equations.inputs, *equations.disturbances])
 
     def start(self, start_time: float) -> None:
         """Make the plant and its start state from the parameters."""
@@ -43,22 +44,31 @@ class PlantSlave(Slave):
             for prefix in for_each_disturbance("disturbance", eq.disturbances).values()
         ]
         self.plant = Plant(equations=eq, parameters=parameters, generators=generators)
-        self.C = eq.linear_part(parameters).C
+        self.C = [[(i, c) for i, c in enumerate(row) if c] for row in eq.linear_part(parameters).C.tolist()]
         self.hidden_states = [i for i, name in enumerate(eq.states) if name not in eq.outputs]
         self.state = PlantMemory(
             plant=self.plant.init(self.values(f"{name}_start" for name in eq.states), start_time),
             held=(0.0,) * (len(eq.inputs) + len(eq.disturbances)),
         )
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return outputs, the other states and total disturbances at the present time."""
         held = self._inputs()
         return self._outputs(self.state.plant, held[len(self.equations.inputs) :])
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
+        """Do so with inputs as they usually are, which the generated code of the plant takes without NumPy."""
+        held = tuple(self._values[self._inputs_at])
+        if not all(map(isfinite, held)):
+            return None
+        return self._advanced(held, t, step_size)
+
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Integrate to the end of the step."""
+        return self._advanced(self._inputs(), t, step_size)
+
+    def _advanced(self, held: tuple[float, ...], t: float, step_size: float) -> list[float]:
         m = len(self.equations.inputs)
-        held = self._inputs()
         after = self.plant.step(self.state.plant, held[:m], held[m:], t + step_size, step_size)
         self.state = PlantMemory(plant=after, held=held)
         return self._outputs(after, held[m:])
@@ -74,4 +84,5 @@ class PlantSlave(Slave):
 
     def _outputs(self, state: PlantState, d: Sequence[float]) -> list[float]:
         x = state.x
-        return [*(self.C @ x), *(x[i] for i in self.hidden_states), *self.plant.disturbance(state.t, d)]
+        outputs = (sum(c * x[i] for i, c in row) for row in self.C)
+        return [*outputs, *(x[i] for i in self.hidden_states), *self.plant.disturbance(state.t, d)]

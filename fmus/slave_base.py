@@ -62,9 +62,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             for kind in _TYPES.values()
         }
         self._input_references = frozenset(self._references("input"))
-        self._output_references = self._references("output")
+        self._shown = self.stretch([variable.name for variable in variables if variable.causality == "output"])
         self._parameter_references = self._references("parameter")
-        self._read: dict[str, list[int]] = {}
+        # The references that were asked for and set last, and the slice that they are; None where they are none.
+        self._real_outputs: tuple[list[int], slice | None] = ([], None)
+        self._real_inputs: tuple[list[int], slice | None] = ([], None)
         self._refused = {
             vr: str(fault)
             for vr in self._parameter_references
@@ -85,12 +87,23 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         """Make the core anew from the parameters, and `state`. Raises NdobError where they admit none."""
 
     @abstractmethod
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the outputs at the start, for the inputs set so far, in the order of their declaration."""
 
     @abstractmethod
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Take one step and return the outputs at its end, in the order of their declaration."""
+
+    def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
+        """Do the same without NumPy, or return None and change nothing where that cannot be done."""
+        return None
+
+    def stretch(self, names: Sequence[str]) -> slice:
+        """Return where the values of variables lie that are declared one after another."""
+        at = _stretch([self._value_reference[name] for name in names])
+        if at is None:
+            raise ValueError(f"variables that are not declared one after another: {', '.join(names)}")
+        return at
 
     def values(self, names: Iterable[str]) -> list[Any]:
         """Return the present values of the named variables."""
@@ -123,26 +136,32 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance the core; a step that cannot be taken is logged and changes nothing."""
-        fault = step_fault(current_time, step_size, self._time)
-        if fault:
-            self._say(fault, Fmi2Status.discard)
-            return False
         end = current_time + step_size
-        fault = stop_fault(end, step_size, self._stop_time)
-        if fault:
-            self._say(fault)
-            return False
+        goes_on_as_it_did = step_size and step_size == self._step_size and end > current_time == self._time
+        if not goes_on_as_it_did:
+            fault = step_fault(current_time, step_size, self._time)
+            if fault:
+                self._say(fault, Fmi2Status.discard)
+                return False
+        if self._stop_time is not None:
+            fault = stop_fault(end, step_size, self._stop_time)
+            if fault:
+                self._say(fault)
+                return False
         if self._initializing:  # without a front the host did not learn that initialization failed
             self.exit_initialization_mode()
             if self._initializing:
                 return False
         # The step as the difference of two rounded times is another one each time, and a design is made for each.
-        if self._step_size and abs(step_size - self._step_size) <= 2.0 * ulp(end):
+        if step_size != self._step_size and self._step_size and abs(step_size - self._step_size) <= 2.0 * ulp(end):
             step_size = self._step_size
         before = self.state
         try:
-            with np.errstate(all="ignore"):  # as in _refresh
-                self._publish(self.advance(current_time, step_size))
+            outputs = self.advance_quickly(current_time, step_size)
+            if outputs is None:
+                with np.errstate(all="ignore"):  # as in _refresh
+                    outputs = self.advance(current_time, step_size)
+            self._values[self._shown] = outputs
         except Exception as error:
             self.state = before
             self._say(failure("step", error), Fmi2Status.discard)
@@ -154,7 +173,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return the values of Real variables."""
-        return self._get("Real", vrs)
+        # Hosts ask for the same ones again and again, most often for some that are declared one after another.
+        known, at = self._real_outputs
+        if vrs != known or self._stale or at is None:
+            return self._get("Real", vrs)
+        return self._values[at]
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Return the values of Boolean variables."""
@@ -170,7 +193,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Set Real variables."""
-        self._set("Real", vrs, values)
+        known, at = self._real_inputs
+        if vrs != known or self._initializing or at is None:
+            self._set("Real", vrs, values)
+        else:
+            self._values[at] = values
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         """Set Boolean variables."""
@@ -285,14 +312,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         return f"{type(self).__module__}.{type(self).__name__}"
 
     def _get(self, kind: str, vrs: list[int]) -> list[Any]:
-        if vrs != self._read.get(kind):
+        if kind != "Real" or vrs != self._real_outputs[0]:
             if not self._known(kind, vrs):
                 return [_NOTHING[kind]] * len(vrs)
-            self._read[kind] = vrs
+            if kind == "Real":
+                self._real_outputs = vrs, _stretch(vrs)
         if self._stale:
             self._refresh()
-        values = self._values
-        return [values[vr] for vr in vrs]
+        return [self._values[vr] for vr in vrs]
 
     def _set(self, kind: str, vrs: list[int], new: list[Any]) -> None:
         if not self._known(kind, vrs):
@@ -301,6 +328,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             if vr in self._input_references or self._may_set(vr, value):
                 self._values[vr] = value
         self._stale = self._initializing
+        if kind == "Real" and self._input_references.issuperset(vrs):
+            self._real_inputs = vrs, _stretch(vrs)
 
     def _known(self, kind: str, vrs: list[int]) -> bool:
         known = self._of_type[kind]
@@ -345,13 +374,18 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                     self._started_with = None
                     self.start(self._start_time)
                     self._started_with = parameters
-                self._publish(self.show())
+                shown = self.show()
+            if len(shown) != len(self._values[self._shown]):
+                raise ValueError(f"{len(shown)} values for other outputs than that")
+            self._values[self._shown] = shown
         except Exception as error:
             self._say(failure("start", error))
             return False
         self._stale = False
         return True
 
-    def _publish(self, outputs: Iterable[Any]) -> None:
-        for vr, value in zip(self._output_references, outputs, strict=True):
-            self._values[vr] = value
+
+def _stretch(vrs: list[int]) -> slice | None:
+    """Return the slice that a list of value references is; None where they do not follow one another."""
+    at = slice(vrs[0], vrs[0] + len(vrs)) if vrs else slice(0)
+    return at if vrs == list(range(at.start or 0, at.stop)) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
@@ -19,10 +19,10 @@ class TorsionSpringSlave(Slave):
     def start(self, start_time: float) -> None:
         """There is nothing to make."""
 
-    def show(self) -> Iterable[Any]:
+    def show(self) -> Sequence[Any]:
         """Return the torques for the angles set so far."""
         return spring_torques(*self.values(("stiffness", "angle_a", "angle_b")))
 
-    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
         """Return the torques for the angles at the start of the step."""
         return self.show()

@@ -1,17 +1,15 @@
-"""Write a symbolic model as source text: the module of plain functions that the runtime and the FMUs use.
-
-Python today; the expressions come from SymPy, whose C printer takes the same ones.
-"""
+"""Write a symbolic model as source text: the module of plain functions that the runtime and the FMUs use."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import sympy
-from sympy.printing.pycode import PythonCodePrinter
 
+from ndob_fmu.emit_step import STEP_IMPORTS, emit_steps
 from ndob_fmu.errors import ModelError
+from ndob_fmu.python_text import python_text, tuple_text
 from ndob_fmu.runtime.equations import Equations
 
 if TYPE_CHECKING:
@@ -22,28 +20,15 @@ _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edi
 import math
 
 from ndob_fmu.runtime.equations import {names}
-
+{step_imports}
 '''
 
-_IMPORTED = ["Equations", "Experiment", "ObserverDefaults", "SignalDefaults"]
+_IMPORTED = ["Equations", "Experiment", "ObserverDefaults", "SignalDefaults", "Steps"]
 
 # What a disturbance with a channel adds: the plant is the one with lumped inputs w, driven by w = n(x, u) d.
 _PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
     return lumped_derivatives(_x, _u, [_n * _d[0] for _n in direction(_x, _u, _p)], _p)
 """
-
-
-class _Printer(PythonCodePrinter):  # type: ignore[misc]
-    """Python text that evaluates to the very numbers of the model: SymPy's own keeps 15 digits of a float."""
-
-    def _print_Float(self, number: sympy.Float) -> str:
-        return repr(float(number))
-
-    def _print_Piecewise(self, pieces: sympy.Piecewise) -> str:
-        if pieces.args[-1].cond != sympy.true:  # where no condition holds there is no number; SymPy would write None
-            pieces = sympy.Piecewise(*pieces.args, (sympy.nan, True))
-        text: str = super()._print_Piecewise(pieces)
-        return text
 
 
 def emit_python(model: Model) -> str:
@@ -64,7 +49,11 @@ def emit_python(model: Model) -> str:
     if model.f_expressions:
         derivatives += model.G_f * f
     parts = [
-        _HEADER.format(name=model.name, names=", ".join(["Channel"] * bool(directions) + _IMPORTED)),
+        _HEADER.format(
+            name=model.name,
+            names=", ".join(["Channel"] * bool(directions) + _IMPORTED),
+            step_imports=STEP_IMPORTS,
+        ),
         _function(
             "matrices",
             [("_p", p)],
@@ -81,7 +70,7 @@ def emit_python(model: Model) -> str:
         ]
     else:
         parts.append(_function("derivatives", [("_x", x), ("_u", u), ("_d", d), ("_p", p)], list(derivatives)))
-    parts.append(_equations(model))
+    parts += [*emit_steps(model), _equations(model)]
     return "\n\n".join(parts)
 
 
@@ -116,7 +105,6 @@ def _function(
     expressions: Sequence[sympy.Expr],
     shapes: Sequence[tuple[int, int]] | None = None,
 ) -> str:
-    printer = _Printer({"fully_qualified_modules": True})
     temporaries = sympy.numbered_symbols("_t", real=True)
     shared, reduced = sympy.cse(list(expressions), symbols=temporaries, list=True) if expressions else ([], [])
     used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
@@ -125,34 +113,17 @@ def _function(
         for i, symbol in enumerate(symbols):
             if symbol in used:
                 lines.append(f"    {symbol.name} = {argument}[{i}]")
-    lines += [f"    {symbol.name} = {_text(printer, expression)}" for symbol, expression in shared]
-    texts = [_text(printer, expression) for expression in reduced]
+    lines += [f"    {symbol.name} = {python_text(expression)}" for symbol, expression in shared]
+    texts = [python_text(expression) for expression in reduced]
     if shapes is None:
-        lines.append(f"    return {_tuple(texts)}")
+        lines.append(f"    return {tuple_text(texts)}")
     else:
         matrices = []
         for rows, columns in shapes:
             own, texts = texts[: rows * columns], texts[rows * columns :]
-            matrices.append(_tuple(_tuple(own[r * columns : (r + 1) * columns]) for r in range(rows)))
+            matrices.append(tuple_text(tuple_text(own[r * columns : (r + 1) * columns]) for r in range(rows)))
         lines.append("    return (\n" + "".join(f"        {matrix},\n" for matrix in matrices) + "    )")
     return "\n".join(lines) + "\n"
-
-
-def _text(printer: PythonCodePrinter, expression: sympy.Expr) -> str:
-    try:
-        text: str = printer.doprint(expression)
-    except NotImplementedError:  # SymPy from 1.13 on raises where it used to write a comment
-        text = "Not supported"
-    if "Not supported" in text:
-        raise ModelError.report(
-            "f", expected="functions with a Python form", received=str(expression), likely="an undefined function"
-        )
-    return text
-
-
-def _tuple(items: Iterable[str]) -> str:
-    items = list(items)
-    return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
 
 
 def _equations(model: Model) -> str:
@@ -180,6 +151,8 @@ def _equations(model: Model) -> str:
     }
     lines = [f"    {name}={value!r}," for name, value in fields.items()]
     lines += [f"    {name}={name}," for name in ("matrices", "nonlinearity", "derivatives")]
+    steps = ("plant_constants", "plant_step", "observer_constants", "observer_step")
+    lines.append(f"    steps=Steps({', '.join(f'{name}={name}' for name in steps)}),")
     if model.channel_expressions:
         bounds = f"bound={model.channel_bound!r}, rate={float(model.channel_rate)!r}"
         lines.append(f"    channel=Channel({bounds}, direction=direction, derivatives=lumped_derivatives),")

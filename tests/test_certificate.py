@@ -82,7 +82,7 @@ def errors_of(observer, model, disturbance, H, steps):
         now = disturbance(k * H)
         x = plant.step(x, u, [0.0], (k + 1) * H)
         then = disturbance((k + 1) * H)
-        found.append([abs(e.d_at_sample[0] - now), abs(e.d_hat[0] - then), *np.abs(e.x_hat - x.x)])
+        found.append([abs(e.d_at_sample[0] - now), abs(e.d_hat[0] - then), *np.abs(np.subtract(e.x_hat, x.x))])
     return np.array(found)
 
 

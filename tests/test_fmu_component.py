@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import inspect
 import logging
 import os
 import re
@@ -20,6 +19,7 @@ from coupling_fmus import SLAVES, coupling_fmus
 from mock_components import Mock, constant
 
 from ndob_fmu.cosim import FmuComponent, System, simulate
+from ndob_fmu.cosim.fmu_buffers import fmi_call
 from ndob_fmu.errors import CouplingError, SimulationError, UsageError
 
 
@@ -122,18 +122,42 @@ def test_every_fmi_type_goes_in_and_comes_out_as_it_is(fmus, tmp_path):
 
 def test_all_variables_of_one_type_travel_in_one_call(fmus, monkeypatch):
     calls = []
-    for name in ("fmi2SetReal", "fmi2GetReal", "fmi2SetInteger", "fmi2GetInteger", "fmi2GetBoolean", "fmi2DoStep"):
-        whole = getattr(fmpy.fmi2.FMU2Slave, name)
 
-        def noted(self, *arguments, name=name, whole=whole):
-            calls.append((name, arguments[2]) if "et" in name else (name, 0))
-            return whole(self, *arguments)
+    def noted(fmu, name, *arguments):
+        call = fmi_call(fmu, name, *arguments)
 
-        noted.__signature__ = inspect.signature(whole)  # fmpy takes the C types from it
-        monkeypatch.setattr(fmpy.fmi2.FMU2Slave, name, noted)
-    simulate(fmus / "MassSpring.fmu", stop_time=1.0, step_size=1.0, start_values={"mass": 2.0, "stiffness": 3.0})
+        def note_and_call():
+            calls.append((name, arguments[1].value if "et" in name else 0))
+            call()
+
+        return note_and_call
+
+    for module in ("fmu", "fmu_buffers"):
+        monkeypatch.setattr(f"ndob_fmu.cosim.{module}.fmi_call", noted)
+    simulate(fmus / "MassSpring.fmu", stop_time=2.0, step_size=1.0, start_values={"mass": 2.0, "stiffness": 3.0})
     assert calls[0] == ("fmi2SetReal", 3)
-    assert calls[-2:] == [("fmi2DoStep", 0), ("fmi2GetReal", 3)]
+    assert calls[-4:] == [("fmi2DoStep", 0), ("fmi2GetReal", 3)] * 2
+
+
+def test_arrays_of_any_kind_and_another_one_each_time_carry_the_same_values(fmus):
+    """An FMU reads and writes in place where the memory of the array admits it, and follows what changes there."""
+    kept_in, kept_out, locked = np.zeros(3), np.zeros(4), np.array([7.25, 1.0, -4.0])
+    locked.flags.writeable = False
+    component = FmuComponent(fmus / "Mirror.fmu")
+    component.setup(0.0, 10.0, {"label": "four"}, ("level_in", "on_in", "count_in"))
+    try:
+        component.initialize()
+        for k, given in enumerate((kept_in, kept_in, np.zeros(6)[::2], kept_in, locked, kept_in)):
+            if given is not locked:
+                given[:] = 0.5 + k, k % 2, 10.0 * k
+            component.set_inputs(given)
+            component.step(float(k), 1.0)
+            for taken in (kept_out, np.zeros(8)[::2], np.zeros(4, dtype=np.float32), kept_out):
+                taken[:] = -1.0
+                component.get_outputs(taken)
+                assert taken.tolist() == [given[1], given[2], given[0], 4.0]
+    finally:
+        component.close()
 
 
 def test_two_fmus_in_a_loop_are_right_at_the_start(fmus):

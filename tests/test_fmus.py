@@ -170,11 +170,11 @@ def test_the_observer_is_its_core_to_the_last_bit(flexible_joint, method, make):
             observer.component.step(0.002 * k, 0.002)
             state, estimate = core.step(state, [torque_at(k)], y, 0.002)
             got = observer.get()
-            assert [got[f"{name}_hat"] for name in STATES] == estimate.x_hat.tolist()
-            assert [got["load_torque_hat"]] == estimate.d_hat.tolist()
-            assert [got["load_torque_at_sample"]] == estimate.d_at_sample.tolist()
-            assert [got["load_torque_std"]] == estimate.d_std.tolist()
-            assert [got["motor_angle_residual"], got["link_angle_residual"]] == estimate.residual.tolist()
+            assert [got[f"{name}_hat"] for name in STATES] == list(estimate.x_hat)
+            assert [got["load_torque_hat"]] == list(estimate.d_hat)
+            assert [got["load_torque_at_sample"]] == list(estimate.d_at_sample)
+            assert [got["load_torque_std"]] == list(estimate.d_std)
+            assert [got["motor_angle_residual"], got["link_angle_residual"]] == list(estimate.residual)
             assert got["valid"] == estimate.valid
 
 

@@ -48,7 +48,7 @@ def coupled(observer, plant, steps, *, x_hat=WRONG, torque=0.0, lost=lambda k: F
         y = LINEAR.C @ state.x
         own, estimate = observer.step(own, (torque,), np.array([y[0], np.nan]) if lost(k) else y, H)
         state = plant.step(state, (torque,), (0.0,), state.t + H)
-        error = np.linalg.norm(estimate.x_hat - state.x)
+        error = np.linalg.norm(np.subtract(estimate.x_hat, state.x))
         rows.append([state.t, estimate.d_hat[0], estimate.d_at_sample[0], estimate.valid, error, *estimate.x_hat])
     return np.array(rows)
 

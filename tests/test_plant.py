@@ -112,7 +112,7 @@ def test_a_jump_inside_a_step_or_at_its_edge_costs_no_accuracy(start):
 def test_a_step_of_the_plant_is_pure():
     plant = Plant(JOINT.equations, JOINT.parameter_values(), [generator("sine")])
     state = run(plant, np.ones(4), 0.01, 4.0, u=(TORQUE,), d=(OFFSET,))
-    before = state.x.copy()
+    before = tuple(state.x)
     first = plant.step(state, (TORQUE,), (OFFSET,), 4.05)
     plant.step(plant.init(np.zeros(4), 7.0), (0.0,), (9.0,), 9.0)
     again = plant.step(state, (TORQUE,), (OFFSET,), 4.05)
@@ -145,7 +145,7 @@ def scalar(f, **fields):
     ],
 )
 def test_a_solution_that_escapes_in_finite_time_ends_in_an_integration_error_with_the_time(monkeypatch, f, x0, end):
-    monkeypatch.setattr(integrator, "_MOST_SUBSTEPS", 10_000)
+    monkeypatch.setattr(integrator, "MOST_SUBSTEPS", 10_000)
     plant = Plant(scalar(f).equations, (), [Generator()])
     with pytest.raises(IntegrationError, match=r"at t = \d[\d.e-]* s: ") as failed:
         run(plant, [x0], 0.1, end)
@@ -160,7 +160,7 @@ def test_equations_that_cannot_be_evaluated_end_in_an_integration_error():
 
 
 def test_too_many_substeps_in_one_step_end_in_an_integration_error_that_names_the_likely_cause(monkeypatch):
-    monkeypatch.setattr(integrator, "_MOST_SUBSTEPS", 300)
+    monkeypatch.setattr(integrator, "MOST_SUBSTEPS", 300)
     plant = Plant(scalar(lambda a: -1e6 * a).equations, (), [Generator(KINDS["constant"], 1.0)])
     with pytest.raises(
         IntegrationError, match=r"more than 300 substeps in one communication step; likely cause: .*stiff"

@@ -19,7 +19,7 @@ from fmpy.fmi1 import FMICallException
 from ndob_fmu.cosim.archive import open_archive
 from ndob_fmu.cosim.component import Array, Value, Variable, recordable
 from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.fmu_buffers import Buffer, buffers
+from ndob_fmu.cosim.fmu_buffers import Buffer, buffers, fmi_call
 from ndob_fmu.cosim.fmu_description import read_description
 from ndob_fmu.cosim.fmu_log import FmuLog
 from ndob_fmu.errors import NdobError, SimulationError
@@ -50,6 +50,12 @@ class FmuComponent:
         self._time = 0.0
         self._inputs: list[Buffer] = []
         self._outputs: list[Buffer] = []
+        self._set_from: Array | None = None
+        self._got_into: Array | None = None
+        self._begin, self._duration = fmi2.fmi2Real(), fmi2.fmi2Real()
+        self._do_step: Callable[[], None]
+        self._setters: list[Callable[[], None]] = []
+        self._getters: list[Callable[[], None]] = []
 
     @property
     def variables(self) -> Sequence[Variable]:
@@ -73,6 +79,8 @@ class FmuComponent:
             with open_archive(self.path) as archive:
                 archive.extractall(self._folder)
             self._fmu = self._load(self._folder)
+            always = fmi2.fmi2Boolean(fmi2.fmi2True)
+            self._do_step = fmi_call(self._fmu, "fmi2DoStep", self._begin, self._duration, always)
         self._call(self._fmu.setupExperiment, None, start_time, stop_time)
         for buffer in self._buffers(tuple(start_values)):
             buffer.load([start_values[name] for name in buffer.names])
@@ -85,20 +93,27 @@ class FmuComponent:
         self._call(self._fmu.enterInitializationMode)
 
     def set_inputs(self, values: Array) -> None:
-        """Set the inputs announced to ``setup``, (len(inputs),), with one FMI call for each type."""
+        """Set the inputs announced to ``setup``, (len(inputs),), with one FMI call for each type.
+
+        Made ready for the array that comes first: another one each time costs more.
+        """
+        if values is not self._set_from:
+            self._setters = [buffer.setter(self._fmu, values) for buffer in self._inputs]
+            self._set_from = values
         try:
-            for buffer in self._inputs:
-                buffer.scatter(values)
-                buffer.set(self._fmu)
+            for set_values in self._setters:
+                set_values()
         except FMICallException as error:
             raise self._failure(error) from error
 
     def get_outputs(self, values: Array) -> None:
-        """Write the numeric outputs into ``values``, with one FMI call for each type."""
+        """Write the numeric outputs into ``values``, with one FMI call for each type; made ready as ``set_inputs``."""
+        if values is not self._got_into:
+            self._getters = [buffer.getter(self._fmu, values) for buffer in self._outputs]
+            self._got_into = values
         try:
-            for buffer in self._outputs:
-                buffer.get(self._fmu)
-                buffer.gather(values)
+            for get_values in self._getters:
+                get_values()
         except FMICallException as error:
             raise self._failure(error) from error
 
@@ -111,7 +126,8 @@ class FmuComponent:
         """Do one communication step of ``step_size`` from ``time`` (s)."""
         self._time = time
         try:
-            self._fmu.doStep(time, step_size)
+            self._begin.value, self._duration.value = time, step_size
+            self._do_step()
         except FMICallException as error:
             raise self._failure(error) from error
         self._time = time + step_size
@@ -121,6 +137,7 @@ class FmuComponent:
         if self._fmu is not None and self._initialized and self._worst_status < fmi2.fmi2Error:
             self._try(self._fmu.terminate)
         self._initialized = False
+        self._forget_arrays()
         if self._keep and self._fmu is not None and self._worst_status < fmi2.fmi2Error and self._try(self._fmu.reset):
             return
         fmu, self._fmu = self._fmu, None
@@ -154,6 +171,10 @@ class FmuComponent:
             _log.warning("%s: %s", self.name, error)
             return False
         return True
+
+    def _forget_arrays(self) -> None:
+        self._set_from = self._got_into = None
+        self._setters, self._getters = [], []
 
     def _load(self, folder: Path) -> Any:
         location, here = self._location(folder), Path.cwd()

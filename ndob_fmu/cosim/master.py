@@ -34,7 +34,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None) -> 
     play = wiring.table.player(clock)
     width = len(wiring.names)
     bus = np.zeros(width + len(wiring.table.ports))
-    from_file = bus[width:]
+    recorded, from_file = bus[:width], bus[width:]
     time, columns = _allocate(clock, width)
     parts = SCHEMES[scheme].parts(wiring.lanes, bus, clock)
     advance = SCHEMES[scheme].advance
@@ -49,13 +49,14 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None) -> 
             part.component.initialize()
         for part in parts:
             part.send()
-        columns[0] = bus[:width]
+        columns[0] = recorded
         for k in _counted(clock.steps, progress):
             check_interrupt()
-            play(k, from_file)
+            if from_file.size:
+                play(k, from_file)
             advance(parts, clock, k)
             if (k + 1) % clock.stride == 0:
-                columns[(k + 1) // clock.stride] = bus[:width]
+                columns[(k + 1) // clock.stride] = recorded
         check_interrupt()
     return Recording(time, wiring.names, columns, wiring.types)
 

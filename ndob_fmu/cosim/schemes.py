@@ -23,16 +23,25 @@ class Part:
         self._bus = bus
         self._lane = lane
         self._inputs = np.empty(len(lane.inputs))
+        self._has_inputs, self._has_outputs = bool(lane.inputs), bool(self.outputs.size)
+        # Sources that lie on the bus as the inputs do, one after another, are read where they are.
+        first = int(lane.sources[0]) if lane.inputs else 0
+        in_order = np.array_equal(lane.sources, np.arange(first, first + len(lane.inputs)))
+        self._on_bus = bus[first : first + len(lane.inputs)] if in_order and not lane.scaled else None
 
     def receive(self, k: int) -> None:
         """Give the component the inputs for a step that begins while the clock is at t_k."""
-        if self._inputs.size:
-            np.take(self._bus, self._lane.sources, out=self._inputs, mode="clip")  # any other mode copies first
-            self._deliver()
+        if not self._has_inputs:
+            return
+        if self._on_bus is not None:
+            self.component.set_inputs(self._on_bus)
+            return
+        np.take(self._bus, self._lane.sources, out=self._inputs, mode="clip")  # any other mode copies first
+        self._deliver()
 
     def send(self) -> None:
         """Put the component's outputs on the bus."""
-        if self.outputs.size:
+        if self._has_outputs:
             self.component.get_outputs(self.outputs)
 
     def arrive(self) -> None:
@@ -64,7 +73,7 @@ class ExtrapolatedPart(Part):
 
     def receive(self, k: int) -> None:
         """Give the component the inputs for a step that begins at t_k, as they will be in its middle."""
-        if self._inputs.size:
+        if self._has_inputs:
             lane = self._lane
             np.take(self._bus, lane.sources, out=self._inputs, mode="clip")
             np.take(self._slopes, lane.sources, out=self._ahead, mode="clip")
@@ -76,7 +85,7 @@ class ExtrapolatedPart(Part):
 
     def arrive(self) -> None:
         """Put the outputs at the end of a step on the bus, with their slopes."""
-        if self.outputs.size:
+        if self._has_outputs:
             np.copyto(self._before, self.outputs)
             self.component.get_outputs(self.outputs)
             with np.errstate(invalid="ignore", over="ignore"):  # what comes of infinite values is taken out below

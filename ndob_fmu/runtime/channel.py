@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ndob_fmu.runtime.equations import Channel, Equations, Vector, lumped_names
-from ndob_fmu.runtime.observer import Estimate
+from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
 
 VANISHING = 0.1
@@ -100,7 +100,7 @@ class ChannelState:
     """The state of the observer of w, and the last disturbance (1,) that could be read."""
 
     lumped: Any
-    d_hat: Array
+    d_hat: Vector
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class ChannelObserver:
 
     def init(self, x_hat: Vector) -> ChannelState:
         """Return the state that starts from x̂₀ (n,)."""
-        return ChannelState(lumped=self.observer.init(x_hat), d_hat=np.zeros(1))
+        return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,))
 
     def estimate(self, state: ChannelState, y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""
@@ -126,18 +126,19 @@ class ChannelObserver:
         estimate = self._read(estimate, after.u, state.d_hat)
         return ChannelState(lumped=after, d_hat=estimate.d_hat), estimate
 
-    def _read(self, lumped: Estimate, u: Array, held: Array) -> Estimate:
+    def _read(self, lumped: Estimate, u: Vector, held: Vector) -> Estimate:
         """Return the estimate of d in place of that of w; what cannot be read is the last that could."""
         at_sample = self._direction(lumped.x_at_sample, u)
         ahead = self._direction(lumped.x_hat, u)
         # The errors of the ŵ_j are taken for independent, and x̂ for so exact that it does not turn n by much.
-        sigma = np.maximum(lumped.d_std, _SMALLEST_SHARE * (np.max(lumped.d_std) or 1.0))
-        d_at_sample, d_hat, d_std = held, held, self.disturbance_bound
+        w_std = np.array(lumped.d_std)
+        sigma = np.maximum(w_std, _SMALLEST_SHARE * (np.max(w_std) or 1.0))
+        d_at_sample, d_hat, d_std = held, held, numbers(self.disturbance_bound)
         if at_sample is not None:
             d_at_sample = d_hat = _least_squares(at_sample / sigma, lumped.d_at_sample / sigma)
         if ahead is not None:
             d_hat = _least_squares(ahead / sigma, lumped.d_hat / sigma)
-            d_std = np.array([1.0 / np.linalg.norm(ahead / sigma)])
+            d_std = (float(1.0 / np.linalg.norm(ahead / sigma)),)
         return replace(
             lumped,
             d_hat=d_hat,
@@ -146,15 +147,15 @@ class ChannelObserver:
             valid=lumped.valid and at_sample is not None and ahead is not None,
         )
 
-    def _direction(self, x_hat: Array, u: Array) -> Array | None:
+    def _direction(self, x_hat: Vector, u: Vector) -> Array | None:
         """Return n (k,); None where it vanishes or cannot be evaluated."""
         try:
-            n = np.array(self.channel.direction(x_hat.tolist(), u.tolist(), self.parameters), dtype=float)
-        except (ArithmeticError, ValueError, TypeError):  # TypeError: the root of a negative number is complex
+            n = np.array(self.channel.direction(x_hat, u, self.parameters), dtype=float)
+        except (ArithmeticError, ValueError):
             return None
         return n if VANISHING <= np.linalg.norm(n / self.channel.bound) < np.inf else None
 
 
-def _least_squares(nu: Array, omega: Array) -> Array:
+def _least_squares(nu: Array, omega: Array) -> tuple[float]:
     """Return the d (1,) that solves ν d = ω best."""
-    return np.asarray((nu @ omega / (nu @ nu))[None])
+    return (float(nu @ omega / (nu @ nu)),)

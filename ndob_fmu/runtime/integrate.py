@@ -1,32 +1,40 @@
-"""The integrator of plant and prediction: Dormand and Prince's method of order 5, at rounding-level tolerance."""
+"""The integrator of plant and prediction: Cash and Karp's method of order 5, at rounding-level tolerance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from math import inf, isfinite
+from typing import TypeVar
 
 import numpy as np
 
 from ndob_fmu.runtime.errors import IntegrationError
 from ndob_fmu.runtime.riccati import Array
 
-_RELATIVE_TOLERANCE = 1e-11
-_ABSOLUTE_TOLERANCE = 1e-12
-_MOST_SUBSTEPS = 100_000
+RELATIVE_TOLERANCE = 2e-12
+ABSOLUTE_TOLERANCE = 1e-12
+MOST_SUBSTEPS = 100_000
+# A substep that comes this near to the end of the interval goes to the end.
+ALMOST = 1.0 - 1e-12
 
-# Dormand and Prince, RK5(4)7M: nodes, stages, and the weights of the error estimate.
-_C = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
-_A = np.array(
-    [
-        [0, 0, 0, 0, 0, 0],
-        [1 / 5, 0, 0, 0, 0, 0],
-        [3 / 40, 9 / 40, 0, 0, 0, 0],
-        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
-        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
+# Cash and Karp, RK5(4): nodes, weights of the stages, of the result and of its error, for six evaluations. Methods that
+# have a seventh one for the next substep waste it, since a sample corrects x before that.
+NODES = (0.0, 1 / 5, 3 / 10, 3 / 5, 1.0, 7 / 8)
+STAGE_WEIGHTS = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (3 / 10, -9 / 10, 6 / 5),
+    (-11 / 54, 5 / 2, -70 / 27, 35 / 27),
+    (1631 / 55296, 175 / 512, 575 / 13824, 44275 / 110592, 253 / 4096),
 )
-_E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+WEIGHTS = (37 / 378, 0.0, 250 / 621, 125 / 594, 0.0, 512 / 1771)
+ERROR_WEIGHTS = (-277 / 64512, 0.0, 6925 / 370944, -6925 / 202752, -277 / 14336, 277 / 7084)
+
+_STAGE_WEIGHTS = tuple(np.array(weights) for weights in STAGE_WEIGHTS)
+_WEIGHTS, _ERROR_WEIGHTS = np.array(WEIGHTS), np.array(ERROR_WEIGHTS)
+
+X = TypeVar("X")
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the finite numbers ends in an error below, not in a warning
@@ -39,33 +47,55 @@ def integrate(
     """
     # At a jump of the right-hand side in time t_end already has the new value; the last stage needs the old one.
     last_inside = np.nextafter(t_end, t)
-    for _ in range(_MOST_SUBSTEPS):
+
+    def trial(t: float, x: Array, step: float) -> tuple[Array, float]:
+        K = np.empty((len(NODES), len(x)))
+        K[0] = derivatives(t, x)
+        for i in range(1, len(NODES)):
+            stage = x + step * (K[:i].T @ _STAGE_WEIGHTS[i])
+            K[i] = derivatives(min(t + NODES[i] * step, last_inside), stage)
+        after = x + step * (_WEIGHTS @ K)
+        errors = np.abs(step * (_ERROR_WEIGHTS @ K)) / (ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * np.abs(after))
+        return after, float(np.max(errors, initial=0.0))
+
+    return adapt(trial, x, t, t_end, h)
+
+
+def adapt(
+    trial: Callable[[float, X, float], tuple[X, float]], x: X, t: float, t_end: float, h: float
+) -> tuple[X, float]:
+    """Return x at t_end from x at t, and the substep to try next, by trials of which h is the first one's.
+
+    trial(t, x, step) returns x at t + step and the norm of its error, at most 1 where it may be accepted.
+    """
+    for _ in range(MOST_SUBSTEPS):
         remaining = t_end - t
-        final = h >= remaining * (1.0 - 1e-12)
+        final = h >= remaining * ALMOST
         step = remaining if final else h
-        K = np.empty((7, len(x)))
         try:
-            K[0] = derivatives(t, x)
-            for i in range(1, 7):
-                stage = x + step * (K[:i].T @ _A[i, :i])
-                K[i] = derivatives(min(t + _C[i] * step, last_inside), stage)
+            after, error_norm = trial(t, x, step)
         except (ArithmeticError, ValueError) as error:
             raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
-        error_norm = float(
-            np.max(np.abs(step * (_E @ K)) / (_ABSOLUTE_TOLERANCE + _RELATIVE_TOLERANCE * np.abs(stage)), initial=0.0)
-        )
-        if not np.isfinite(error_norm):
+        if not isfinite(error_norm):
             raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
-        grow = min(5.0, max(0.2, 0.9 * error_norm**-0.2)) if error_norm > 0.0 else 5.0
-        if error_norm > 1.0:
-            h = step * min(grow, 0.9)
-            continue
-        x, t = stage, t + step
-        if final:
-            # A step cut short by the end of the interval says little against the longer one that was planned.
-            return x, max(h, step * grow)
-        h = step * grow
+        if error_norm <= 1.0:
+            x, t = after, t + step
+            if final:
+                # A step cut short by the end of the interval says little against the longer one that was planned.
+                return x, max(h, next_substep(step, error_norm))
+        h = next_substep(step, error_norm)
     raise IntegrationError(
-        f"model at t = {t:g} s: more than {_MOST_SUBSTEPS} substeps in one communication step; "
+        f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
         "likely cause: parameters that make the plant stiff or unstable"
     )
+
+
+def next_substep(step: float, error_norm: float) -> float:
+    """Return the substep to try after one of this length and error."""
+    grow = min(5.0, max(0.2, 0.9 * error_norm**-0.2)) if error_norm > 0.0 else 5.0
+    return step * (min(grow, 0.9) if error_norm > 1.0 else grow)
+
+
+def largest(ratios: Sequence[float]) -> float:
+    """Return the largest of some numbers ≥ 0, infinity where one of them is no number."""
+    return max(ratios) if isfinite(sum(ratios)) else inf

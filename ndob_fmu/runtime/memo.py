@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 T = TypeVar("T")
 
 
 class Latest(Generic[T]):
-    """The last result of a function and the arguments that it holds for."""
+    """The last result of a function, `value`, and the arguments that it holds for; None before the first one."""
 
     def __init__(self) -> None:
         self._key: tuple[float, ...] | None = None
-        self._value: T
+        self.value: T | None = None
 
     def __call__(self, key: tuple[float, ...], compute: Callable[[], T]) -> T:
         """Return the value for `key`, computed only if the last one was for another."""
         if key != self._key:
-            self._value = compute()
+            self.value = compute()
             self._key = key
-        return self._value
+        return cast(T, self.value)

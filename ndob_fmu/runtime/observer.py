@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.riccati import Array
 
 
-@dataclass(frozen=True)
+@dataclass  # never changed once made; frozen=True would make that cost a tenth of a step
 class Estimate:
     """What a step publishes.
 
@@ -18,10 +19,15 @@ class Estimate:
     finite is 0.
     """
 
-    x_hat: Array
-    d_hat: Array
-    x_at_sample: Array
-    d_at_sample: Array
-    d_std: Array
-    residual: Array
+    x_hat: Vector
+    d_hat: Vector
+    x_at_sample: Vector
+    d_at_sample: Vector
+    d_std: Vector
+    residual: Vector
     valid: bool
+
+
+def numbers(vector: Array) -> tuple[float, ...]:
+    """Return the entries of a vector as numbers of Python."""
+    return tuple(vector.tolist())

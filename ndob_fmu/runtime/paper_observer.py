@@ -19,7 +19,7 @@ from ndob_fmu.runtime.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.gains import LinearPart, orthogonal_factor
 from ndob_fmu.runtime.hold import History, empty_history
 from ndob_fmu.runtime.memo import Latest
-from ndob_fmu.runtime.observer import Estimate
+from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.schedule import GainTable, PiSchedule, gain_table
 from ndob_fmu.runtime.zeros import require_zeros_left_of
@@ -74,12 +74,12 @@ class PaperObserver:
         residual = sample - self.linear.C @ state.x_hat if valid else np.zeros(len(sample))
         d_hat = self.linear.selector @ (self._unknown_inputs(state.elapsed, residual) if valid else state.w_hat)
         return Estimate(
-            x_hat=state.x_hat,
-            d_hat=d_hat,
-            x_at_sample=state.x_hat,
-            d_at_sample=d_hat,
-            d_std=self._error_bar(state.elapsed),
-            residual=residual,
+            x_hat=numbers(state.x_hat),
+            d_hat=numbers(d_hat),
+            x_at_sample=numbers(state.x_hat),
+            d_at_sample=numbers(d_hat),
+            d_std=numbers(self._error_bar(state.elapsed)),
+            residual=numbers(residual),
             valid=valid,
         )
 
@@ -105,7 +105,12 @@ class PaperObserver:
         if start.valid:
             w_hat = self._unknown_inputs(elapsed, history.at(H) - self.linear.C @ x_hat)
         after = ObserverState(x_hat=x_hat, elapsed=elapsed, history=history.aged(H), u=inputs, w_hat=w_hat)
-        return after, replace(start, x_hat=x_hat, d_hat=self.linear.selector @ w_hat, d_std=self._error_bar(elapsed))
+        return after, replace(
+            start,
+            x_hat=numbers(x_hat),
+            d_hat=numbers(self.linear.selector @ w_hat),
+            d_std=numbers(self._error_bar(elapsed)),
+        )
 
     @cached_property
     def fastest_f(self) -> float:

@@ -3,29 +3,32 @@
     update    e = y − C ξ̂⁻,   ξ̂ = ξ̂⁻ + K e                       d̂(t) = δ̂₁       (r = 0: M_H S_∞ S⁻¹ e)
     predict   x̂' = A x̂ + B u + G_f f(x̂, u) + G_d d̂(t),   d̂⁽ʳ⁾ = 0,   from t to t + H
 
-K comes from the covariance recursion, started from an honest prior, and is frozen once it has come to rest.
+K comes from the covariance recursion, started from an honest prior, and is frozen once it has come to rest. From then
+on a usual sample takes a step of generated scalar code (`Equations.steps`); `step_by_definition` is what that must do.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import factorial
+from operator import mul
 
 import numpy as np
 
 from ndob_fmu.runtime.augmented import Augmented, augment
-from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.errors import DesignError
 from ndob_fmu.runtime.integrate import integrate
-from ndob_fmu.runtime.kalman import gain_change, predict, update
+from ndob_fmu.runtime.kalman import Update, gain_change, predict, update
 from ndob_fmu.runtime.memo import Latest
-from ndob_fmu.runtime.observer import Estimate
+from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
+from ndob_fmu.runtime.sampled_state import Confidence, Numbers, SampledState, StepAtRest
 from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_std, tuned_intensities
 from ndob_fmu.runtime.zeros import require_zeros_left_of
 
-ORDERS = (0, 1, 2, 3)
+ORDERS = tuple(range(HIGHEST_ORDER + 1))
 # The intensities are tuned anew where the step differs by more than this from the one they were tuned for.
 _SIMILAR_STEP = 0.1
 _AT_REST = 1e-7
@@ -38,28 +41,6 @@ _MOST_REFUSALS = 10
 _LEAST_NOISE = 1e-10
 # Steps per state after a start before which the gain is not frozen.
 _START_UP = 3
-
-
-@dataclass(frozen=True)
-class SampledState:
-    """All that the observer remembers, as of just before the next sample.
-
-    xi_hat (N,): ξ̂⁻; factor (N,N): of its covariance; d_hat and d_std (q2,); at_rest: whether the gain is frozen;
-    tuned_at: the step (s) that the intensities were tuned for, 0 before the first one; refused: samples refused in a
-    row; age: steps since the start, as far as they count; u (m,): the last finite input; deviation (p,): how far the
-    last sample lay from its prediction, or could have lain where it was not used.
-    """
-
-    xi_hat: Array
-    factor: Array
-    d_hat: Array
-    d_std: Array
-    at_rest: bool
-    tuned_at: float
-    refused: int
-    age: int
-    u: Array
-    deviation: Array
 
 
 @dataclass(frozen=True)
@@ -78,6 +59,7 @@ class SampledObserver:
     pi: float
     _tuned: Latest[Intensities] = field(default_factory=Latest, repr=False, compare=False)
     _designed: Latest[SampledDesign] = field(default_factory=Latest, repr=False, compare=False)
+    _rest: Latest[StepAtRest | None] = field(default_factory=Latest, repr=False, compare=False)
     _fades: Latest[bool] = field(default_factory=Latest, repr=False, compare=False)
     _steady_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
 
@@ -85,16 +67,18 @@ class SampledObserver:
         """Return the state before the first sample, from x̂₀ (n,)."""
         q = len(self.known.disturbance_bound)
         return SampledState(
-            xi_hat=np.concatenate([np.array(x_hat, dtype=float), np.zeros(self.system.order * q)]),
-            factor=self._prior_factor(),
-            d_hat=np.zeros(q),
-            d_std=self.known.disturbance_bound,
-            at_rest=False,
-            tuned_at=0.0,
-            refused=0,
-            age=0,
-            u=np.zeros(self.system.linear.B.shape[1]),
-            deviation=np.full(len(self.system.C), np.inf),
+            xi_hat=(*map(float, x_hat), *(0.0,) * (HIGHEST_ORDER * q)),
+            d_hat=(0.0,) * q,
+            u=(0.0,) * self.system.linear.B.shape[1],
+            deviation=(np.inf,) * len(self.system.C),
+            confidence=Confidence(
+                factor=self._prior_factor(),
+                d_std=numbers(self.known.disturbance_bound),
+                at_rest=False,
+                tuned_at=0.0,
+                refused=0,
+                age=0,
+            ),
         )
 
     def design(self, H: float, tuned_at: float | None = None) -> SampledDesign:
@@ -110,73 +94,163 @@ class SampledObserver:
 
     def estimate(self, state: SampledState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
-        sample = np.array(y, dtype=float)
-        finite = bool(np.all(np.isfinite(sample)))
+        residual, finite = self._residual(self._xi(state), y)
         return Estimate(
             x_hat=state.xi_hat[: self._n],
             d_hat=state.d_hat,
             x_at_sample=state.xi_hat[: self._n],
             d_at_sample=state.d_hat,
-            d_std=state.d_std,
-            residual=sample - self.system.C @ state.xi_hat if finite else np.zeros(len(sample)),
+            d_std=state.confidence.d_std,
+            residual=numbers(residual),
             valid=finite,
         )
 
     def step(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
-        if abs(H - state.tuned_at) > _SIMILAR_STEP * state.tuned_at:
-            state = replace(state, tuned_at=H)
-        design = self.design(H, state.tuned_at)
-        inputs = np.array(u, dtype=float)
+        done = self.step_at_rest(state, (*map(float, u), *map(float, y)), H)
+        if done is None:
+            return self.step_by_definition(state, u, y, H)
+        after, outputs, xi_at_sample = done
+        n, q = self._n, len(after.d_hat)
+        return after, Estimate(
+            x_hat=outputs[:n],
+            d_hat=after.d_hat,
+            x_at_sample=xi_at_sample[:n],
+            d_at_sample=outputs[n + q : n + 2 * q],
+            d_std=after.confidence.d_std,
+            residual=after.deviation,
+            valid=True,
+        )
+
+    def step_at_rest(
+        self, state: SampledState, inputs: Vector, H: float
+    ) -> tuple[SampledState, tuple[float, ...], Numbers] | None:
+        """Return what `step` does with a usual sample once the gain is frozen, None for any other; inputs: u and y.
+
+        That is the state, the numbers of `Estimate` in their order but for x_at_sample, with `valid`, and ξ̂ at the
+        sample (n + 3 q2,).
+        """
+        # Whether this way is taken depends on the arguments alone, so that a state that is restored goes on as it did.
+        confidence = state.confidence
+        rest = self._rest.value
+        if rest is None or rest.confidence is not confidence or rest.H != H:
+            tuned_at = confidence.tuned_at
+            rest = self._rest((H, tuned_at), lambda: self._at_rest(H, tuned_at)) if confidence.at_rest else None
+            if rest is None:
+                return None
+        try:
+            done = rest.observer_step(state.xi_hat, inputs, rest.constants, rest.frozen, H)
+        except (ArithmeticError, ValueError):
+            return None
+        if done is None:
+            return None
+        xi_hat, outputs, xi_at_sample, residual, u, d_hat = done
+        if rest.M_H is not None:
+            n, q = self._n, len(d_hat)
+            d_hat = tuple(sum(map(mul, row, residual)) for row in rest.M_H)
+            outputs = outputs[:n] + d_hat + d_hat + outputs[n + 2 * q :]
+        return SampledState(xi_hat, d_hat, u, residual, rest.confidence), outputs, xi_at_sample
+
+    def _at_rest(self, H: float, tuned_at: float) -> StepAtRest | None:
+        if self._tuned_elsewhere(H, tuned_at):
+            return None
+        try:
+            constants = self.equations.steps.observer_constants(self.parameters)
+        except (ArithmeticError, ValueError):
+            return None
+        design = self.design(H, tuned_at)
+        missing = HIGHEST_ORDER * len(self.known.disturbance_bound) - len(self.system.A) + self._n
+        K = np.vstack([design.rest.K, np.zeros((missing, len(self.system.C)))])
+        gate = self._usual_deviation(design.rest.innovation_factor, design)
+        d_std = numbers(self._std(design, design.prior_factor))
+        return StepAtRest(
+            H=H,
+            observer_step=self.equations.steps.observer_step,
+            constants=constants,
+            frozen=(*gate.tolist(), *d_std, *K.ravel().tolist()),
+            M_H=None if design.M_H is None else tuple(map(tuple, design.M_H.tolist())),
+            confidence=Confidence(
+                factor=design.prior_factor,
+                d_std=d_std,
+                at_rest=True,
+                tuned_at=tuned_at,
+                refused=0,
+                age=self._start_up,
+            ),
+        )
+
+    def step_by_definition(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
+        """Do what `step` does for every state and every sample."""
+        before = state.confidence
+        tuned_at = H if self._tuned_elsewhere(H, before.tuned_at) else before.tuned_at
+        design = self.design(H, tuned_at)
+        inputs = tuple(map(float, u))
         if not np.all(np.isfinite(inputs)):
             inputs = state.u
-        start = self.estimate(state, y)
-        measured = design.rest if state.at_rest else update(state.factor, self.system.C, design.sample_factor)
-        used, refused, age = start.valid, 0, state.age
+        xi_hat, factor, d_hat = self._xi(state), before.factor, np.array(state.d_hat)
+        residual, used = self._residual(xi_hat, y)
+        measured = design.rest if before.at_rest else update(factor, self.system.C, design.sample_factor)
+        refused, age = 0, before.age
         # Before it first comes to rest the covariance knows nothing of f's error, so that no sample can be implausible.
-        judged = state.at_rest or state.refused > 0
-        deviation = np.abs(start.residual)
-        if judged and not (used and np.all(deviation <= self._usual_deviation(measured.innovation_factor, design))):
-            plausible = self._plausible_deviation(state.deviation, measured.innovation_factor, design)
-            implausible = used and not np.all(deviation <= plausible)
+        judged = before.at_rest or before.refused > 0
+        deviation = residual
+        if judged and not (
+            used and np.all(np.abs(deviation) <= self._usual_deviation(measured.innovation_factor, design))
+        ):
+            plausible = self._plausible_deviation(np.abs(state.deviation), measured.innovation_factor, design)
+            implausible = used and not np.all(np.abs(deviation) <= plausible)
             if implausible:
-                used, refused = False, state.refused + 1
+                used, refused = False, before.refused + 1
             if not used:
                 deviation = plausible
             if refused > _MOST_REFUSALS:
                 measured = update(self._prior_factor(), self.system.C, design.sample_factor)
                 used, refused, age = True, 0, 0
 
-        xi_hat, factor, d_hat = state.xi_hat, state.factor, state.d_hat
         if used:
-            xi_hat, factor = xi_hat + measured.K @ start.residual, measured.factor
-            d_hat = self._disturbance(xi_hat, design, measured.innovation_factor, start.residual)
+            xi_hat, factor = xi_hat + measured.K @ residual, measured.factor
+            d_hat = self._disturbance(xi_hat, design, measured, residual)
         at_rest = used and age >= self._start_up
-        at_rest = at_rest and (state.at_rest or gain_change(measured, design.rest) <= _AT_REST)
+        at_rest = at_rest and (before.at_rest or gain_change(measured, design.rest) <= _AT_REST)
         factor = design.prior_factor if at_rest else self._covariance_ahead(factor, design, age)
-        xi_after = self._predicted(xi_hat, d_hat, inputs, H, coasting=not used)
+        xi_after = self._predicted(xi_hat, d_hat, list(inputs), H, coasting=not used)
         d_after = xi_after[self._n : self._n + len(d_hat)] if self.system.order else d_hat
         after = SampledState(
-            xi_hat=xi_after,
-            factor=factor,
-            d_hat=d_after,
-            d_std=self._std(design, factor),
-            at_rest=at_rest,
-            tuned_at=state.tuned_at,
-            refused=refused,
-            age=min(age + 1, self._start_up),
+            xi_hat=numbers(xi_after) + (0.0,) * (len(state.xi_hat) - len(xi_after)),
+            d_hat=numbers(d_after),
             u=inputs,
-            deviation=deviation,
+            deviation=numbers(deviation),
+            confidence=Confidence(
+                factor=factor,
+                d_std=numbers(self._std(design, factor)),
+                at_rest=at_rest,
+                tuned_at=tuned_at,
+                refused=refused,
+                age=min(age + 1, self._start_up),
+            ),
         )
         return after, Estimate(
-            x_hat=xi_after[: self._n],
-            d_hat=d_after,
-            x_at_sample=xi_hat[: self._n],
-            d_at_sample=d_hat,
-            d_std=after.d_std,
-            residual=start.residual,
+            x_hat=numbers(xi_after[: self._n]),
+            d_hat=after.d_hat,
+            x_at_sample=numbers(xi_hat[: self._n]),
+            d_at_sample=numbers(d_hat),
+            d_std=after.confidence.d_std,
+            residual=numbers(residual),
             valid=used,
         )
+
+    def _xi(self, state: SampledState) -> Array:
+        """Return ξ̂⁻ (N,)."""
+        return np.array(state.xi_hat[: len(self.system.A)])
+
+    def _residual(self, xi_hat: Array, y: Vector) -> tuple[Array, bool]:
+        """Return y − C ξ̂⁻ (p,) and whether the sample is finite; the residual of one that is not is 0."""
+        sample = np.array(y, dtype=float)
+        finite = bool(np.all(np.isfinite(sample)))
+        return (sample - self.system.C @ xi_hat if finite else np.zeros(len(sample))), finite
+
+    def _tuned_elsewhere(self, H: float, tuned_at: float) -> bool:
+        return abs(H - tuned_at) > _SIMILAR_STEP * tuned_at
 
     @property
     def _n(self) -> int:
@@ -209,7 +283,7 @@ class SampledObserver:
 
     def _f_error_fades(self, design: SampledDesign) -> bool:
         gamma, f_states = self.equations.lipschitz, self.equations.f_states
-        return self._fades((design.discrete.H,), lambda: gamma**2 * design.variance_of(f_states) < 1.0)
+        return self._fades(_key(design), lambda: gamma**2 * design.variance_of(f_states) < 1.0)
 
     def _intensities(self, H: float) -> Intensities:
         if np.all(self.known.disturbance_rate > 0.0):
@@ -240,25 +314,27 @@ class SampledObserver:
         now = np.einsum("ijpq,ijq->ijpq", responses[:, 1:], jumps)
         return np.asarray(usual + np.max(now, axis=(0, 1)).sum(axis=1))
 
-    def _disturbance(self, xi_hat: Array, design: SampledDesign, innovation_factor: Array, residual: Array) -> Array:
+    def _disturbance(self, xi_hat: Array, design: SampledDesign, measured: Update, residual: Array) -> Array:
         """Return d̂ (q2,) after an update; for r = 0 the output error counts by how credible it is against rest."""
         if design.M_H is None:
             return xi_hat[self._n : self._n + len(self.known.disturbance_bound)]
+        if measured is design.rest:
+            return np.asarray(design.M_H @ residual)
+        innovation_factor = measured.innovation_factor
         credible = np.linalg.solve(innovation_factor.T, np.linalg.solve(innovation_factor, residual))
         S_rest = design.rest.innovation_factor @ design.rest.innovation_factor.T
         return np.asarray(design.M_H @ S_rest @ credible)
 
-    def _predicted(self, xi_hat: Array, d_hat: Array, u: Array, H: float, *, coasting: bool) -> Array:
+    def _predicted(self, xi_hat: Array, d_hat: Array, u: Vector, H: float, *, coasting: bool) -> Array:
         """Return ξ̂⁻ (N,) after H: the plant with d continued by its Taylor series."""
         n, q, r = self._n, len(d_hat), self.system.order
         # For r = 0 the updates K e carry all of d, so that only a step without one needs it here.
         without_order = d_hat[None] if coasting else np.zeros((1, q))
         series = xi_hat[n:].reshape(r, q) if r else without_order
-        inputs = u.tolist()
 
         def derivatives(t: float, x: Array) -> Array:
             d = sum((row * t**i / factorial(i) for i, row in enumerate(series)), np.zeros(q))
-            return np.array(self.equations.derivatives(x.tolist(), inputs, d.tolist(), self.parameters), dtype=float)
+            return np.array(self.equations.derivatives(x.tolist(), u, d.tolist(), self.parameters), dtype=float)
 
         x_after, _ = integrate(derivatives, xi_hat[:n], 0.0, H, H)
         later = [sum((series[j] * H ** (j - i) / factorial(j - i) for j in range(i, r)), np.zeros(q)) for i in range(r)]
@@ -267,7 +343,7 @@ class SampledObserver:
     def _std(self, design: SampledDesign, factor: Array) -> Array:
         """Return the error bar (q2,) of d̂ a step ahead: of rest, and what the covariance lies above its own rest."""
         rate = self.known.disturbance_rate
-        steady = self._steady_std((design.discrete.H,), lambda: steady_std(design, rate))
+        steady = self._steady_std(_key(design), lambda: steady_std(design, rate))
         if self.system.selector is None:
             return np.asarray(np.minimum(steady, self.known.disturbance_bound))
         own, rest = self.system.selector @ factor, self.system.selector @ design.prior_factor
@@ -322,6 +398,11 @@ def sampled_observer(
         alpha=alpha,
         pi=pi,
     )
+
+
+def _key(design: SampledDesign) -> tuple[float, ...]:
+    """Return what tells a design from others of the same observer."""
+    return design.discrete.H, design.intensities.scale, design.intensities.f, *design.intensities.disturbance.tolist()
 
 
 def _require(name: str, condition: bool, expected: str, received: object) -> None:

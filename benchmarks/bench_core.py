@@ -1,0 +1,108 @@
+"""(c) What a step of the observer costs inside the FMU, over the size of a sparse model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.figures import Section, Time, compared
+from benchmarks.models import carts
+from benchmarks.timing import take_turns
+from ndob_fmu.runtime.equations import HIGHEST_ORDER
+from ndob_fmu.runtime.sampled_observer import sampled_observer
+
+STEP = 1e-3
+SIZES, DESIGNED = (4, 8, 16, 32, 64), (4, 8, 16)
+COUNT, ROUNDS = 50, 100
+
+
+def generated(model):
+    """Return COUNT generated steps from rest, with a gain of as many entries as one that is designed."""
+    eq = model.equations
+    n, p, q = len(eq.states), len(eq.outputs), len(eq.disturbances)
+    constants = eq.steps.observer_constants(model.parameter_values())
+    gate, d_std, gain = [1.0] * p, [0.1] * q, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
+    xi_hat, inputs, frozen = (0.0,) * (n + HIGHEST_ORDER * q), [0.1] * (len(eq.inputs) + p), (*gate, *d_std, *gain)
+    assert eq.steps.observer_step(xi_hat, inputs, constants, frozen, STEP) is not None
+
+    def steps():
+        for _ in range(COUNT):
+            eq.steps.observer_step(xi_hat, inputs, constants, frozen, STEP)
+
+    return steps
+
+
+def by_definition(model):
+    """Return COUNT steps at rest as NumPy takes them."""
+    eq, tuning = model.equations, model.equations.observer
+    observer = sampled_observer(
+        eq,
+        model.parameter_values(),
+        order=tuning.disturbance_order,
+        noise_std=tuning.noise_std,
+        disturbance_bound=eq.disturbance_bound,
+        disturbance_rate=eq.disturbance_rate,
+        x_hat=[0.0] * len(eq.states),
+        x_std=eq.xhat0_std,
+        alpha=tuning.alpha,
+        pi=tuning.pi_end,
+    )
+    start = observer.init([0.0] * len(eq.states))
+    confidence = replace(start.confidence, at_rest=True, tuned_at=STEP, age=10 * len(start.xi_hat))
+    start = replace(start, confidence=confidence)
+    u, y = [0.1] * len(eq.inputs), [0.0] * len(eq.outputs)
+
+    def steps():
+        for _ in range(COUNT):
+            observer.step_by_definition(start, u, y, STEP)
+
+    return steps
+
+
+def entries(model):
+    """Return how many entries of A, B, C, G_f and G_d are not zero."""
+    linear = model.equations.linear_part(model.parameter_values())
+    return sum(np.count_nonzero(matrix) for matrix in (linear.A, linear.B, linear.C, linear.G_f, linear.G_d))
+
+
+def test_core(benchmark, section):
+    models = {n: carts(n // 2) for n in SIZES}
+    actions = {f"generated, n = {n}": generated(model) for n, model in models.items()}
+    actions |= {f"NumPy, n = {n}": by_definition(models[n]) for n in DESIGNED}
+    benchmark.pedantic(actions["generated, n = 4"], rounds=1)
+    times = take_turns(actions, ROUNDS)
+    counted = ", ".join(f"{entries(model)} for n = {n}" for n, model in models.items())
+    section(
+        Section(
+            rank=3,
+            title="A step in Python, over the size of the model",
+            text=(
+                "Carts in a row between springs and dampers, r = 2, p = 2: each knows its neighbours only. The step is "
+                "what the FMU runs once the gain is frozen: sample, correction and prediction. In NumPy it is what "
+                "defines the generated step. With n grow "
+                f"the entries of the model's matrices that are not zero: {counted}."
+            ),
+            ratios=(
+                *(
+                    compared(
+                        f"generated step, n = {n}",
+                        f"the step in NumPy, n = {n}",
+                        times[f"generated, n = {n}"],
+                        times[f"NumPy, n = {n}"],
+                    )
+                    for n in DESIGNED
+                ),
+                *(
+                    compared(
+                        f"generated step, n = {n}",
+                        "generated step, n = 4",
+                        times[f"generated, n = {n}"],
+                        times["generated, n = 4"],
+                    )
+                    for n in SIZES[1:]
+                ),
+            ),
+            times=tuple(Time(f"{what}, a step", float(np.median(t)) / COUNT) for what, t in times.items()),
+        )
+    )

@@ -1,0 +1,43 @@
+"""Plants of any size whose equations are sparse, for benchmarks that look at what size costs."""
+
+from __future__ import annotations
+
+import sympy
+
+from ndob_fmu import Model
+
+
+def carts(count: int) -> Model:
+    """Return carts in a row between springs and dampers, n = 2 `count`: each knows its neighbours only.
+
+    The first one hangs on a spring that is no straight line and is pushed by the motor and by the unknown force; its
+    place and that of the last one are measured (m = 1, p = 2, q1 = q2 = 1).
+    """
+    spring, damper = sympy.symbols("spring damper")
+    places, speeds = [f"place{i}" for i in range(count)], [f"speed{i}" for i in range(count)]
+    A = sympy.zeros(2 * count)
+    for i in range(count):
+        A[i, count + i] = 1
+        for neighbour in {i - 1, i + 1} & set(range(count)):
+            A[count + i, neighbour] += spring
+            A[count + i, i] -= spring
+            A[count + i, count + neighbour] += damper
+            A[count + i, count + i] -= damper
+    on_first = [[float(i == count)] for i in range(2 * count)]
+    return Model(
+        name=f"Carts{count}",
+        states=places + speeds,
+        inputs=["push"],
+        outputs=list(dict.fromkeys([places[0], places[-1]])),
+        disturbances=["wind"],
+        parameters={"spring": 40.0, "damper": 0.5, "soft": 5.0},
+        A=A,
+        B=on_first,
+        C=[
+            [float(name == measured) for name in places + speeds] for measured in dict.fromkeys((places[0], places[-1]))
+        ],
+        G_d=on_first,
+        f=lambda x, u, p: [-p.soft * sympy.sin(x.place0)],
+        lipschitz=5.0,
+        disturbance_bound=5.0,
+    )
