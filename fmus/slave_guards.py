@@ -8,9 +8,8 @@ from typing import Any
 from ndob_fmu.runtime.errors import NdobError
 from ndob_fmu.runtime.interface import Variable
 
-# What computing with impossible numbers raises; LinAlgError is a ValueError. TypeError: a power of a negative number is
-# complex, which no function of math takes.
-_IMPOSSIBLE = (ArithmeticError, ValueError, TypeError)
+# What computing with impossible numbers raises; LinAlgError is a ValueError.
+_IMPOSSIBLE = (ArithmeticError, ValueError)
 # A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
 _TIME_TOLERANCE = 1e-3
 

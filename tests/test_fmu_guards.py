@@ -188,7 +188,7 @@ def test_parameters_of_sizes_that_no_design_can_take_discard_the_step_and_the_in
 
 @pytest.mark.parametrize("part", ["Plant", "Observer"])
 def test_equations_without_a_real_value_are_no_fatal_error(part, tmp_path):
-    """A fractional power of a negative number is complex in Python, of which math.sin makes a TypeError."""
+    """A fractional power of a negative number is complex in Python."""
     model = Model(
         name="Vessel",
         states=["level", "flow"],
@@ -212,4 +212,4 @@ def test_equations_without_a_real_value_are_no_fatal_error(part, tmp_path):
             assert instance.set("level", -1.0) == OK
         assert instance.doStep(0.0, H) == DISCARD
         (message,) = instance.said
-        assert "expected numbers that can be computed with" in message
+        assert "cannot be evaluated" in message or "expected numbers that can be computed with" in message
