@@ -20,6 +20,7 @@ lint: .venv/installed-test
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.disturbance_rejection
 	$(BIN)/python -m benchmarks.native_calls
 
 docs: .venv/installed-test build

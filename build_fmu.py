@@ -1,8 +1,10 @@
-"""Build the plant's and the observer's FMU of a model, and the shipped systems of the built-in ones.
+"""Build the plant's and the observer's FMU of a model, or all that is shipped.
 
-    python build_fmu.py [MODEL ...] [--out DIR]
+    python build_fmu.py MODEL [--out DIR]
+    python build_fmu.py
 
-MODEL is a built-in name or a Python file that defines `model`; the same as `ndob-fmu build`.
+MODEL is a built-in name or a Python file that defines `model`; the same as `ndob-fmu build`. Without any argument all
+FMUs of the paper's example are built into build/fmus, and the systems of ssp/ with them into build/ssp.
 """
 
 import sys
@@ -10,4 +12,5 @@ import sys
 from ndob_fmu.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(["build", *sys.argv[1:]]))
+    shipped = ["flexible_joint", "--out", "build/fmus", "--systems", "build/ssp"]
+    sys.exit(main(["build", *(sys.argv[1:] or shipped)]))

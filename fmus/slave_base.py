@@ -26,7 +26,7 @@ from pythonfmu import (
 )
 from pythonfmu.enums import Fmi2Status
 
-from fmus.slave_guards import FAILURES, experiment_fault, failure, parameter_fault, step_fault, stop_fault
+from fmus.slave_guards import experiment_fault, failure, parameter_fault, step_fault, stop_fault
 from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Snapshot, from_bytes, to_bytes
 from ndob_fmu.runtime.equations import Experiment
@@ -137,13 +137,13 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             if self._initializing:
                 return False
         # The step as the difference of two rounded times is another one each time, and a design is made for each.
-        if abs(step_size - self._step_size) <= 2.0 * ulp(end):
+        if self._step_size and abs(step_size - self._step_size) <= 2.0 * ulp(end):
             step_size = self._step_size
         before = self.state
         try:
             with np.errstate(all="ignore"):  # as in _refresh
                 self._publish(self.advance(current_time, step_size))
-        except FAILURES as error:
+        except Exception as error:
             self.state = before
             self._say(failure("step", error), Fmi2Status.discard)
             return False
@@ -263,7 +263,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         before = self._values, self.state
         try:
             self._start_with(snapshot.started_with, snapshot.start_time)
-        except FAILURES as error:
+        except Exception as error:
             if self._started_with is not None:
                 self._start_with(self._started_with, self._start_time)
             self._values, self.state = before
@@ -346,7 +346,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                     self.start(self._start_time)
                     self._started_with = parameters
                 self._publish(self.show())
-        except FAILURES as error:
+        except Exception as error:
             self._say(failure("start", error))
             return False
         self._stale = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, isfinite
+from math import inf, isfinite, ulp
 from typing import Any
 
 from ndob_fmu.runtime.errors import NdobError
@@ -10,17 +10,19 @@ from ndob_fmu.runtime.interface import Variable
 
 # What computing with impossible numbers raises; LinAlgError is a ValueError. TypeError: a power of a negative number is
 # complex, which no function of math takes.
-FAILURES = (NdobError, ArithmeticError, ValueError, TypeError)
+_IMPOSSIBLE = (ArithmeticError, ValueError, TypeError)
 # A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
 _TIME_TOLERANCE = 1e-3
 
 
 def failure(where: str, error: Exception) -> NdobError:
-    """Return one of the `FAILURES` as a message for users; `where` says in what."""
+    """Return what a computation raised as a message for users; `where` says in what."""
     if isinstance(error, NdobError):
         return error
     received = f"{error} ({type(error).__name__})"
-    return NdobError.report(where, expected="numbers that can be computed with", received=received)
+    if isinstance(error, _IMPOSSIBLE):
+        return NdobError.report(where, expected="numbers that can be computed with", received=received)
+    return NdobError.report(where, expected="a result", received=received, likely="a defect of this FMU; report it")
 
 
 def experiment_fault(start_time: float, stop_time: float | None) -> NdobError | None:
@@ -29,7 +31,7 @@ def experiment_fault(start_time: float, stop_time: float | None) -> NdobError | 
         return None
     stop = "" if stop_time is None else f" and {stop_time:g} s"
     return NdobError.report(
-        "experiment", expected="a finite start time and a later stop time", received=f"{start_time:g} s{stop}"
+        "experiment", expected="a finite start time and no stop time before it", received=f"{start_time:g} s{stop}"
     )
 
 
@@ -37,17 +39,24 @@ def step_fault(current_time: float, step_size: float, follows: float) -> NdobErr
     """Return what is wrong with a step that should start at the time `follows` (s)."""
     if not 0.0 < step_size < inf:
         return NdobError.report("communication step", expected="a finite time > 0 s", received=f"{step_size!r} s")
-    if abs(current_time - follows) <= _TIME_TOLERANCE * step_size:
+    if not abs(current_time - follows) <= _tolerance(step_size, follows):
+        expected = f"{follows!r} s, where the last one ended"
+        return NdobError.report("time of the step", expected=expected, received=f"{current_time!r} s")
+    if current_time + step_size > current_time:
         return None
-    expected = f"{follows!r} s, where the last one ended"
-    return NdobError.report("time of the step", expected=expected, received=f"{current_time!r} s")
+    received = f"{step_size!r} s, which is lost in rounding at {current_time!r} s"
+    return NdobError.report("communication step", expected="one that moves the time", received=received)
 
 
 def stop_fault(end: float, step_size: float, stop_time: float | None) -> NdobError | None:
     """Return what is wrong with a step that goes on to `end`, if that is after `stop_time` (s)."""
-    if stop_time is None or end <= stop_time + _TIME_TOLERANCE * step_size:
+    if stop_time is None or end <= stop_time + _tolerance(step_size, stop_time):
         return None
     return NdobError.report("end of the step", expected=f"at most the stop time {stop_time:g} s", received=f"{end:g} s")
+
+
+def _tolerance(step_size: float, time: float) -> float:
+    return max(_TIME_TOLERANCE * step_size, 4.0 * ulp(time))
 
 
 def parameter_fault(variable: Variable, value: Any) -> NdobError | None:
@@ -63,10 +72,10 @@ def _acceptable(variable: Variable, value: Any) -> str:
     if variable.items is not None:
         allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
         return "" if value in variable.items.values() else f"one of {allowed}"
-    too_small = variable.minimum is not None and value < variable.minimum
+    too_small = (variable.minimum is not None and value < variable.minimum) or (variable.positive and value <= 0.0)
     too_large = variable.maximum is not None and value > variable.maximum
     if isfinite(value) and not too_small and not too_large:
         return ""
-    least = "" if variable.minimum is None else f" of at least {variable.minimum:g}"
+    least = "" if variable.minimum is None else " > 0" if variable.positive else f" of at least {variable.minimum:g}"
     most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
     return f"a finite number{least}{most}"

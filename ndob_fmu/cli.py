@@ -53,11 +53,23 @@ def run_and_leave() -> NoReturn:
 
 
 def _check(options: argparse.Namespace) -> int:
+    if options.model.endswith(".ssp"):
+        return _check_system(options)
+    if options.picture is not None:
+        raise UsageError.report("--picture", expected="a system (.ssp) to draw", received=options.model)
     from ndob_fmu.assumptions import check
     from ndob_fmu.loading import load_model
 
     report = check(load_model(options.model))
     print(_json(report.to_dict()) if options.json else report)
+    return 0 if report.passed else 1
+
+
+def _check_system(options: argparse.Namespace) -> int:
+    from ndob_fmu.cosim import check_ssp
+
+    report = check_ssp(options.model, picture=options.picture)
+    print(report.to_json() if options.json else report)
     return 0 if report.passed else 1
 
 
@@ -80,26 +92,30 @@ def _design(options: argparse.Namespace) -> int:
 
 
 def _build(options: argparse.Namespace) -> int:
-    for path in _build_all(options.model, options.out, options.systems):
+    for path in _build_all(options.model, options.out, options.components, options.systems):
         print(path)
     return 0
 
 
-def _build_all(model: str, out: Path, systems: Path | None) -> list[Path]:
-    from ndob_fmu.cosim import build_ssp
+def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> list[Path]:
+    from ndob_fmu.components import build_components, build_controller
+    from ndob_fmu.cosim import build_ssp, parameter_sets
     from ndob_fmu.fmu import build
     from ndob_fmu.loading import load_model
     from ndob_fmu.shipped import shipped_folder
 
-    paths = list(build(load_model(model), out))
+    model = load_model(name)
+    paths = list(build(model, out))
+    if components or systems is not None:
+        paths += [build_controller(model, out), *build_components(out)]
     if systems is not None:
-        folders = sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd"))
-        paths += [build_ssp(folder, out, systems) for folder in folders]
+        for folder in sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd")):
+            paths += [build_ssp(folder, out, systems, parameter_set=one) for one in (None, *parameter_sets(folder))]
     return paths
 
 
 def _build_demo() -> Path:
-    _build_all(_DEMO_MODEL, _BUILD / "fmus", _BUILD / "ssp")
+    _build_all(_DEMO_MODEL, _BUILD / "fmus", True, _BUILD / "ssp")
     return _BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
 
 
@@ -236,8 +252,9 @@ def _parser() -> argparse.ArgumentParser:
 
     model_help = f"a Python file that defines `model`, or a built-in name ({_DEMO_MODEL})"
 
-    sub = command("check", _check, "Check the paper's assumptions on a model; exit code 1 if one fails.")
-    sub.add_argument("model", metavar="MODEL", help=model_help)
+    sub = command("check", _check, "Check the paper's assumptions on a model, or a system; exit code 1 if one fails.")
+    sub.add_argument("model", metavar="MODEL", help=f"{model_help}, or the path of a system (.ssp)")
+    sub.add_argument("--picture", type=Path, metavar="FILE", help="also draw the system (.svg)")
     sub.add_argument("--json", action="store_true", help="print JSON")
 
     sub = command("design", _design, "Design the observer: gains, poles, bandwidth, noise gain.")
@@ -263,7 +280,12 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=_BUILD / "fmus", metavar="DIR", help="folder of the FMUs (%(default)s)"
     )
     sub.add_argument(
-        "--systems", type=Path, metavar="DIR", help="also pack the shipped systems with these FMUs into DIR"
+        "--components",
+        action="store_true",
+        help="also <Name>Controller.fmu, DisturbanceSource.fmu, Encoder.fmu and TorsionSpring.fmu",
+    )
+    sub.add_argument(
+        "--systems", type=Path, metavar="DIR", help="also these, and the shipped systems with all of them into DIR"
     )
 
     sub = command("simulate", _simulate, "Co-simulate a system (.ssp) or one FMU at a fixed communication step.")

@@ -1,4 +1,4 @@
-"""Build the components that complete a control loop around a plant and its observer: source, encoder, controller."""
+"""Build what completes a control loop around a plant and its observer: source, encoder, spring and controller."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from ndob_fmu.runtime.component_interface import (
     controller_variables,
     encoder_variables,
     source_variables,
+    spring_variables,
 )
 from ndob_fmu.runtime.controller import Controller, Feedback
 from ndob_fmu.runtime.gains import LinearPart
@@ -108,12 +109,12 @@ def build_controller(
     )
 
 
-def build_components(out: str | Path = "build/fmus") -> tuple[Path, Path]:
-    """Write `DisturbanceSource.fmu` and `Encoder.fmu` into the folder `out` and return their paths.
+def build_components(out: str | Path = "build/fmus") -> tuple[Path, Path, Path]:
+    """Write `DisturbanceSource.fmu`, `Encoder.fmu` and `TorsionSpring.fmu` into the folder `out`; return their paths.
 
     Raises UsageError where the folder cannot be written.
     """
-    source, encoder = source_variables(), encoder_variables()
+    source, encoder, spring = source_variables(), encoder_variables(), spring_variables()
     return (
         package(
             Path(out, "DisturbanceSource.fmu"),
@@ -126,6 +127,12 @@ def build_components(out: str | Path = "build/fmus") -> tuple[Path, Path]:
             bundle("Encoder", "encoder_slave", "EncoderSlave"),
             encoder,
             _extras("Encoder", "", encoder, [r"$\varphi$"], [r"$\varphi_m$"]),
+        ),
+        package(
+            Path(out, "TorsionSpring.fmu"),
+            bundle("TorsionSpring", "torsion_spring_slave", "TorsionSpringSlave"),
+            spring,
+            _extras("Torsion", "spring", spring, [r"$\varphi_a$", r"$\varphi_b$"], [r"$\tau_a$", r"$\tau_b$"]),
         ),
     )
 

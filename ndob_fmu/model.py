@@ -10,6 +10,7 @@ from __future__ import annotations
 import builtins
 import keyword
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,6 +25,9 @@ from ndob_fmu.errors import ModelError
 from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults, lumped_names
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.interface import reserved_names
+
+# What XML 1.0 cannot carry, not even escaped.
+_NO_TEXT = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Nonlinearity = Callable[[Any, Any, Any], Sequence[Any]]
 
@@ -228,6 +232,11 @@ class Model:
                     raise ModelError.report(
                         f"{self.name}.{mapping}", expected=_listed([*seen, *self.outputs]), received=repr(name)
                     )
+        for name, text in {"description": self.description, **self.descriptions}.items():
+            if not isinstance(text, str) or _NO_TEXT.search(text):
+                raise ModelError.report(
+                    f"{self.name}, text of {name}", expected="characters that XML can carry", received=repr(text)
+                )
         for name, value in self.parameters.items():
             self._require_finite(name, value)
 

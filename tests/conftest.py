@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from ndob_fmu import build, load_model
-from ndob_fmu.cosim import build_ssp
+from ndob_fmu.components import build_components, build_controller
+from ndob_fmu.cosim import build_ssp, parameter_sets
 from ndob_fmu.shipped import shipped_folder
 
 STRICT = os.environ.get("CI", "").lower() == "true"
@@ -30,6 +31,29 @@ def flexible_joint(tmp_path_factory) -> Built:
     folder = tmp_path_factory.mktemp("flexible_joint")
     plant, observer = build(load_model("flexible_joint"), folder)
     return Built(plant, observer, build_ssp(shipped_folder("ssp") / "open_loop", folder, folder))
+
+
+@dataclass(frozen=True)
+class Shipped:
+    """All FMUs and systems of `make build`; sets: the parameter sets besides the nominal one."""
+
+    fmus: Path
+    systems: Path
+    sets: frozenset[str]
+
+
+@pytest.fixture(scope="session")
+def shipped(flexible_joint) -> Shipped:
+    fmus = flexible_joint.plant.parent
+    systems = fmus / "systems"
+    build_components(fmus)
+    build_controller(load_model("flexible_joint"), fmus)
+    sets = set()
+    for path in shipped_folder("ssp").glob("*/SystemStructure.ssd"):
+        for one in (None, *parameter_sets(path.parent)):
+            build_ssp(path.parent, fmus, systems, parameter_set=one)
+            sets.add(one)
+    return Shipped(fmus, systems, frozenset(sets - {None}))
 
 
 def _fail_if_skipped(report):

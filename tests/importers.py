@@ -24,6 +24,7 @@ Rows = NDArray[np.float64]
 class Study:
     """FMUs by the names of their instances, or an SSP package of them, and how they are run, from t = 0.
 
+    parameter_set: the name of that in the package; of the tools only ecos asks for it.
     connections: (source, target), each ``instance.variable``. starts: of Real parameters and inputs. inputs: for an
     input the values that it has from each communication point on. shown: Real outputs. again: the rows are those of a
     second run, after the tool has made another one of ten steps and started over.
@@ -31,6 +32,7 @@ class Study:
 
     instances: Mapping[str, str] = field(default_factory=dict)
     package: str | None = None
+    parameter_set: str = "nominal"
     connections: tuple[tuple[str, str], ...] = ()
     starts: Mapping[str, float] = field(default_factory=dict)
     inputs: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -149,7 +151,7 @@ def ecospy(study: Study) -> Rows:
         return port.replace(".", "::", 1)
 
     if study.package:
-        simulation, parameters = EcosSimulation(ssp_path=study.package, step_size=study.step_size), "open_loop"
+        simulation, parameters = EcosSimulation(ssp_path=study.package, step_size=study.step_size), study.parameter_set
     else:
         with EcosSimulationStructure() as structure:
             for name, path in study.instances.items():

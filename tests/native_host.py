@@ -90,7 +90,7 @@ def compile_host(folder: Path) -> Path:
     compiler = shlex.split(os.environ.get("CC", "cc"))
     flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-I", str(front.HEADERS)]
     target = folder / "host"
-    subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(target), "-ldl", "-lpthread"], check=True)
+    subprocess.run([*compiler, *flags, str(SOURCE), "-o", str(target), "-ldl", "-lpthread", "-lm"], check=True)
     return target
 
 

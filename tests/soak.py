@@ -231,7 +231,7 @@ def main() -> int:
 
 def _fmus(given: Path | None, work: Path) -> list[Path]:
     if given:
-        return sorted(given.glob("*.fmu"))
+        return sorted(path for part in ("Plant", "Observer") for path in given.glob(f"*{part}.fmu"))
     from ndob_fmu import build, load_model
 
     return list(build(load_model("flexible_joint"), work))

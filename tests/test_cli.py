@@ -133,18 +133,30 @@ def test_build_writes_both_fmus_and_names_them(capsys, flexible_joint):
     assert Path("build/fmus/FlexibleJointPlant.fmu").read_bytes() == flexible_joint.plant.read_bytes()
 
 
-def test_build_also_packs_the_shipped_systems(capsys, flexible_joint):
+def test_build_also_writes_the_other_components_and_packs_the_shipped_systems(capsys, flexible_joint, shipped):
+    others = ["FlexibleJointController.fmu", "DisturbanceSource.fmu", "Encoder.fmu", "TorsionSpring.fmu"]
+    assert main(["build", "flexible_joint", "--out", "f", "--components"]) == 0
+    assert capsys.readouterr().out.split()[2:] == [str(Path("f", name)) for name in others]
     assert main(["build", "flexible_joint", "--out", "f", "--systems", "s"]) == 0
-    assert Path("s/open_loop.ssp").read_bytes() == flexible_joint.system.read_bytes()
-    assert capsys.readouterr().out.split()[-1] == str(Path("s", "open_loop.ssp"))
+    packages = sorted(path.name for path in shipped.systems.iterdir())
+    assert sorted(capsys.readouterr().out.split()[6:]) == [str(Path("s", name)) for name in packages]
+    for name in packages:
+        assert Path("s", name).read_bytes() == (shipped.systems / name).read_bytes()
 
 
-def test_the_script_build_fmu_does_the_same(flexible_joint):
-    command = [sys.executable, ROOT / "build_fmu.py", "flexible_joint", "--out", "fmus"]
-    environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
-    subprocess.run(command, check=True, env=environment, capture_output=True)
+def test_the_script_build_fmu_does_the_same(flexible_joint, shipped):
+    def run(*words):
+        environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
+        subprocess.run(
+            [sys.executable, ROOT / "build_fmu.py", *words], check=True, env=environment, capture_output=True
+        )
+
+    run("flexible_joint", "--out", "fmus")
     for fmu in (flexible_joint.plant, flexible_joint.observer):
         assert Path("fmus", fmu.name).read_bytes() == fmu.read_bytes()
+    run()
+    assert {path.name for path in Path("build/ssp").iterdir()} == {path.name for path in shipped.systems.iterdir()}
+    assert len(list(Path("build/fmus").iterdir())) == 6
 
 
 # -- simulate
@@ -194,7 +206,7 @@ def test_simulate_writes_a_folder_with_figures_and_how_it_came_about(flexible_jo
     assert main(["simulate", str(flexible_joint.system), *words]) == 0
     assert "r: 101 rows of" in capsys.readouterr().out
     found = sorted(path.name for path in Path("r").iterdir())
-    assert found == ["result.csv", "signals.png", "signals.svg", "summary.json"]
+    assert found == ["result.csv", "signals.png", "signals.svg", "summary.json", "system.svg"]
     summary = json.loads(Path("r/summary.json").read_text("utf-8"))
     assert summary["parameters"]["observer.method"] == "sampled_data"
     assert summary["parameters"]["plant.gravity_torque"] == 10.0

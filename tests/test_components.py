@@ -6,10 +6,18 @@ import math
 
 import numpy as np
 import pytest
+from fmi_instance import ERROR, OK, opened, unpacked
+from fmpy.validation import validate_fmu
 
-from ndob_fmu import Model, NdobError, load_model
-from ndob_fmu.components import design_controller
+from ndob_fmu import Model, NdobError, load_model, simulate
+from ndob_fmu.components import build_components, build_controller, design_controller
 from ndob_fmu.errors import DesignError, ModelError, UsageError
+from ndob_fmu.runtime.component_interface import (
+    controller_variables,
+    encoder_variables,
+    source_variables,
+    spring_variables,
+)
 from ndob_fmu.runtime.controller import Controller
 from ndob_fmu.runtime.disturbance import KINDS, Generator
 from ndob_fmu.runtime.disturbance_source import INTERPOLATIONS, SOURCE_KINDS, disturbance_source
@@ -335,3 +343,145 @@ def test_a_plant_without_inputs_gets_no_controller():
     fields = {name: getattr(MODEL, name) for name in ("states", "outputs", "disturbances", "f", "A", "C", "G_f", "G_d")}
     with pytest.raises(ModelError, match="expected a plant with inputs, received none"):
         design_controller(Model(name="Adrift", parameters=MODEL.parameters, lipschitz=10.0, **fields))
+
+
+# -- the FMUs
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("components")
+    parts = dict(zip(("source", "encoder", "spring"), build_components(folder), strict=True))
+    return {**parts, "controller": build_controller(MODEL, folder)}
+
+
+@pytest.mark.parametrize("name", ["source", "encoder", "spring", "controller"])
+def test_the_fmus_pass_validation_and_are_the_same_at_every_build(fmus, tmp_path, name):
+    assert validate_fmu(str(fmus[name])) == []
+    again = dict(zip(("source", "encoder", "spring"), build_components(tmp_path), strict=True))
+    again["controller"] = build_controller(MODEL, tmp_path)
+    assert again[name].read_bytes() == fmus[name].read_bytes()
+
+
+def test_the_components_have_these_names():
+    """They are what connections and parameter sets of users rely on."""
+    names = [v.name for v in (*source_variables(), *encoder_variables(), *spring_variables())]
+    assert names == [
+        *("disturbance", "disturbance.kind", "disturbance.amplitude", "disturbance.frequency"),
+        *("disturbance.start_time", "disturbance.seed", "disturbance.profile", "disturbance.interpolation"),
+        *("angle", "measured_angle", "new_sample", "counts_per_revolution", "noise_std", "bias", "seed"),
+        *("sample_time", "delay", "dropout_probability", "dropped_sample", "between_samples"),
+        *("angle_a", "angle_b", "torque_a", "torque_b", "stiffness"),
+    ]
+    controller = controller_variables(MODEL.equations, design_controller(MODEL).feedback)
+    assert [v.name for v in controller] == [
+        *("link_angle_reference", "link_angle_hat", "link_rate_hat", "motor_angle_hat", "motor_rate_hat"),
+        *("load_torque_hat", "motor_torque", "saturated", "gravity_torque", "joint_stiffness", "motor_damping"),
+        *("gain.link_angle", "gain.link_rate", "gain.motor_angle", "gain.motor_rate"),
+        *("motor_torque_limit", "compensation"),
+    ]
+
+
+def test_the_source_shows_the_signal_of_the_end_of_each_step_whatever_the_step(fmus):
+    options = {"disturbance.kind": 6, "disturbance.amplitude": 2.0, "disturbance.frequency": 3.0, "disturbance.seed": 9}
+    signal = source("noise", amplitude=2.0, frequency=3.0, seed=9)
+    for step_size in (0.1, 0.25):
+        recording = simulate(fmus["source"], stop_time=1.0, step_size=step_size, start_values=options)
+        expected = [signal(t) for t in recording.time]
+        np.testing.assert_allclose(recording["DisturbanceSource.disturbance"], expected, rtol=1e-12)
+
+
+def test_a_profile_goes_from_the_file_to_the_output(fmus, profile):
+    options = {"disturbance.kind": 7, "disturbance.profile": profile, "disturbance.interpolation": 2}
+    recording = simulate(fmus["source"], stop_time=4.0, step_size=1.0, start_values=options)
+    assert recording["DisturbanceSource.disturbance"].tolist() == [10.0, 10.0, 30.0, 30.0, -10.0]
+
+
+def test_a_profile_that_is_missing_is_an_error_with_its_path_after_which_another_can_be_given(fmus, profile):
+    with opened(fmus["source"]) as instance:
+        assert instance.setupExperiment(startTime=0.0) == OK
+        assert instance.set("disturbance.kind", SOURCE_KINDS["profile"]) == OK
+        assert instance.set("disturbance.profile", "gone/gust.csv") == OK
+        assert instance.enterInitializationMode() == OK
+        assert instance.exitInitializationMode() == ERROR
+        assert "expected the path of a CSV file" in instance.said[-1]
+        assert "'gone/gust.csv' (No such file or directory)" in instance.said[-1]
+        assert instance.set("disturbance.profile", profile) == OK
+        assert instance.exitInitializationMode() == OK
+        assert instance.step(0.0, 1.5) == {"disturbance": 20.0}
+
+
+NOISY = {
+    "counts_per_revolution": 4096,
+    "noise_std": 1e-3,
+    "bias": 0.1,
+    "seed": 3,
+    "sample_time": 0.02,
+    "delay": 0.05,
+    "dropout_probability": 0.3,
+}
+
+
+def test_the_encoder_fmu_is_its_core(fmus):
+    device = encoder(**NOISY)
+    state = device.init(0.25, 0.0)
+    with opened(fmus["encoder"]) as instance:
+        assert instance.setupExperiment(startTime=0.0) == OK
+        assert [instance.set(name, value) for name, value in {**NOISY, "angle": 0.25}.items()] == [OK] * 8
+        assert instance.enterInitializationMode() == OK
+        assert instance.get() == {"measured_angle": state.shown, "new_sample": True}
+        assert instance.exitInitializationMode() == OK
+        for k in range(100):
+            state = device.step(state, math.sin(k), 0.01 * k + 0.01, 0.01)
+            got = instance.step(0.01 * k, 0.01, angle=math.sin(k))
+            np.testing.assert_equal(got, {"measured_angle": state.shown, "new_sample": state.new})
+
+
+def test_an_encoder_whose_state_is_restored_in_another_instance_goes_on_to_the_bit(fmus):
+    with unpacked(fmus["encoder"]) as instances:
+        first, second = instances("first"), instances("second")
+        first.begin(**NOISY)
+        for k in range(23):
+            first.step(0.01 * k, 0.01, angle=0.1 * k)
+        data = first.bytes_of(first.state())
+        expected = [first.step(0.01 * k, 0.01, angle=0.1 * k) for k in range(23, 60)]
+        second.begin()  # with other parameters, which the state brings along
+        status, state = second.from_bytes(data)
+        assert status == OK
+        second.fmu.setFMUState(state)
+        np.testing.assert_equal([second.step(0.01 * k, 0.01, angle=0.1 * k) for k in range(23, 60)], expected)
+
+
+@pytest.mark.parametrize(("name", "value"), [("dropout_probability", 1.5), ("delay", -1.0), ("dropped_sample", 3)])
+def test_an_encoder_parameter_out_of_its_range_is_refused(fmus, name, value):
+    with opened(fmus["encoder"]) as instance:
+        assert instance.setupExperiment(startTime=0.0) == OK
+        assert instance.set(name, value) == ERROR
+        assert name in instance.said[-1]
+
+
+def test_the_controller_fmu_is_its_core_and_holds_what_is_not_finite(fmus):
+    core = joint_controller(limit=np.array([20.0]))
+    estimates = {"link_angle_hat": 0.1, "link_rate_hat": 0.2, "motor_angle_hat": 0.3, "motor_rate_hat": 0.4}
+    given = [[0.3], list(estimates.values()), [2.0]]
+    target, first = core.step(core.start(), *given)
+    with opened(fmus["controller"]) as instance:
+        instance.begin(motor_torque_limit=20.0)
+        got = instance.step(0.0, 0.01, link_angle_reference=0.3, load_torque_hat=2.0, **estimates)
+        assert got["motor_torque"] == pytest.approx(first[0], rel=1e-9)
+        assert got["saturated"] == 1
+        near = {name: value / 20.0 for name, value in estimates.items()}
+        _, second = core.step(target, [0.0], list(near.values()), [2.0])
+        got = instance.step(0.01, 0.01, link_angle_reference=0.0, **near)
+        assert got["motor_torque"] == pytest.approx(second[0], rel=1e-9)
+        assert got["saturated"] == 0
+        assert instance.set("load_torque_hat", math.nan) == OK
+        assert instance.doStep(0.02, 0.01) == OK
+        assert "not finite are held" in instance.said[-1]
+        assert instance.get()["motor_torque"] == pytest.approx(second[0], rel=1e-9)
+
+
+def test_the_spring_pulls_its_ends_together(fmus):
+    with opened(fmus["spring"]) as instance:
+        instance.begin(stiffness=3.0)
+        assert instance.step(0.0, 0.1, angle_a=0.5, angle_b=0.7) == pytest.approx({"torque_a": 0.6, "torque_b": -0.6})

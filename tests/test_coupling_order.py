@@ -10,10 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from coupling_fmus import coupling_fmus
+from fmpy.util import read_csv
 from mock_components import Mock, constant, gain, integrator, ramp
 
 from ndob_fmu.cli import main
-from ndob_fmu.cosim import FmuComponent, System, Variable, algebraic_loops, simulate
+from ndob_fmu.cosim import FmuComponent, System, Variable, algebraic_loops, build_ssp, simulate
 from ndob_fmu.errors import CouplingError, UsageError
 
 ORDERS = {"jacobi": 1, "gauss-seidel": 1, "extrapolation": 2}
@@ -180,19 +181,48 @@ def test_gauss_seidel_steps_in_the_order_that_is_stated_and_records_in_that_of_t
     np.testing.assert_array_equal(recording["second.y"], seen)
 
 
-def test_the_command_line_takes_an_order_and_every_scheme(flexible_joint, tmp_path, capsys):
-    """The plant takes nothing from the observer: with the observer first each has what it has with Jacobi."""
+NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+INTEGRATORS = f"""
+<ssd:SystemStructureDescription version="1.0" name="loop" xmlns:ssd="{NAMESPACE}">
+  <ssd:System name="loop">
+    <ssd:Elements>
+      <ssd:Component name="x" source="Integrator.fmu"/>
+      <ssd:Component name="v" source="Integrator.fmu"/>
+    </ssd:Elements>
+    <ssd:Connections>
+      <ssd:Connection startElement="v" startConnector="y" endElement="x" endConnector="u"/>
+      <ssd:Connection startElement="x" startConnector="y" endElement="v" endConnector="u"/>
+    </ssd:Connections>
+  </ssd:System>
+</ssd:SystemStructureDescription>"""
+
+
+def test_the_command_line_takes_an_order_and_every_scheme(tmp_path, tmp_path_factory, capsys):
+    """ẋ = v and v̇ = x from (1, 0), one step of 0.5 s and another: who has whose value of which instant."""
+    (tmp_path / "loop").mkdir()
+    (tmp_path / "loop" / "SystemStructure.ssd").write_text(INTEGRATORS)
+    system = build_ssp(tmp_path / "loop", coupling_fmus(tmp_path_factory.getbasetemp()), tmp_path)
 
     def run(*words):
         file = tmp_path / "out.csv"
-        command = ["simulate", str(flexible_joint.system), "--stop-time", "0.05", "--output-file", str(file)]
-        assert main([*command, "--scheme", *words]) == 0
-        return file.read_bytes()
+        times = ["--stop-time", "1", "--step-size", "0.5", "--start-values", "x.y", "1", "--output-file", str(file)]
+        assert main(["simulate", str(system), *times, "--scheme", *words]) == 0
+        capsys.readouterr()
+        rows = read_csv(file)
+        return rows["x.y"].tolist(), rows["v.y"].tolist()
 
-    jacobi = run("jacobi")
-    assert run("gauss-seidel", "--order", "observer", "plant") == jacobi
-    assert len({jacobi, run("gauss-seidel"), run("extrapolation")}) == 3
-    capsys.readouterr()
+    assert run("jacobi") == ([1, 1, 1.25], [0, 0.5, 1])
+    assert run("gauss-seidel") == ([1, 1, 1.25], [0, 0.5, 1.125])
+    assert run("gauss-seidel", "--order", "v", "x") == ([1, 1.25, 1.8125], [0, 0.5, 1.125])
+    assert run("extrapolation") == ([1, 1, 1.375], [0, 0.5, 1])
+
+
+def test_samples_of_the_shipped_observer_are_not_extrapolated(flexible_joint):
+    def run(**options):
+        return simulate(flexible_joint.system, stop_time=0.05, **options).columns
+
+    np.testing.assert_array_equal(run(scheme="extrapolation"), run(scheme="jacobi"))
+    assert not np.array_equal(run(scheme="gauss-seidel"), run(scheme="jacobi"))
 
 
 def test_an_order_that_names_no_component_is_refused_with_the_nearest_one():

@@ -58,11 +58,28 @@ def test_a_step_that_cannot_be_is_discarded_and_the_right_one_taken(host, t, ste
     assert host.doStep(H * (1.0 + 1e-9), H) == OK  # a host's rounding error
 
 
+def test_steps_follow_on_at_times_that_rounding_blurs(host):
+    """Unix time in steps of 0.1 ms: a double tells such times apart by 2.4e-7 s."""
+    t = 1.7e9
+    host.begin(start_time=t)
+    for _ in range(20):
+        assert host.doStep(t, 1e-4) == OK
+        t += 1e-4
+
+
+def test_a_step_that_no_double_shows_at_its_time_is_discarded(host):
+    host.begin(start_time=1e13)
+    assert host.doStep(1e13, H / 2.0) == DISCARD
+    (message,) = host.said
+    assert message.startswith("communication step: expected one that moves the time, received 0.0005 s, which is lost")
+    assert host.doStep(1e13, 1.0) == OK
+
+
 @pytest.mark.parametrize(("start", "stop"), [(nan, None), (inf, None), (1.0, 0.5), (0.0, nan)])
 def test_an_experiment_of_impossible_times_is_refused_and_one_of_possible_times_taken(host, start, stop):
     assert host.setupExperiment(startTime=start, stopTime=stop) == host.refusal
     (message,) = host.said
-    assert "expected a finite start time and a later stop time" in message
+    assert "expected a finite start time and no stop time before it" in message
     host.begin(start_time=1.0, stop_time=2.0)
     host.step(1.0, H, motor_angle=1.0, link_angle=1.0)
     assert len(host.said) == 1
@@ -94,7 +111,7 @@ def test_a_step_past_the_stop_time_is_refused(host):
 @pytest.mark.parametrize(
     ("name", "wrong", "right", "says"),
     [
-        ("pi_end", -1.0, 1e8, "pi_end: expected a finite number of at least 0, received -1.0"),
+        ("pi_end", -1.0, 1e8, "pi_end: expected a finite number > 0, received -1.0"),
         ("joint_stiffness", nan, 1.0, "joint_stiffness: expected a finite number, received nan"),
         (
             "disturbance_order",
@@ -102,6 +119,7 @@ def test_a_step_past_the_stop_time_is_refused(host):
             2,
             "disturbance_order: expected a finite number of at least 0 and at most 3, received 7",
         ),
+        ("disturbance_bound", 0.0, 5.0, "disturbance_bound: expected a finite number > 0, received 0.0"),
         ("method", 3, 2, "method: expected one of 1 (paper), 2 (sampled_data), received 3"),
     ],
 )
@@ -119,13 +137,14 @@ def test_a_parameter_out_of_its_range_is_refused_until_it_is_set_right(host, nam
 
 
 def test_parameters_that_admit_no_design_can_be_corrected_too(host):
-    """A bound of 0 is within the declared range, but no disturbance to design for."""
+    """Such a damping is within the declared range, but nothing shows in the outputs then."""
     assert host.setupExperiment(startTime=0.0) == OK
-    assert host.set("disturbance_bound", 0.0) == OK
+    assert host.set("motor_damping", 1e12) == OK
     assert host.enterInitializationMode() == OK
     assert host.exitInitializationMode() == host.refusal
-    assert host.said == ["disturbance_bound: expected finite numbers > 0, received [0.]"]
-    assert host.set("disturbance_bound", 3.0) == OK
+    (message,) = host.said
+    assert message.startswith("transmission zeros: expected 2 unknown inputs that the 2 outputs tell apart")
+    assert host.set("motor_damping", 1.0) == OK
     assert host.exitInitializationMode() == OK
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import hashlib
 import json
@@ -266,7 +267,7 @@ def test_bytes_with_a_right_checksum_that_no_snapshot_was_made_into_are_no_state
         from_bytes(hashlib.sha256(content).digest() + content, ())
 
 
-def forged(data, **changes):
+def forged(data, mode=None, **changes):
     """The bytes of a state with other contents, and the checksums of front and slave that go with these."""
     head, content = data[:HEAD], json.loads(data[HEAD + 32 :])
     fields = [field.name for field in dataclasses.fields(Snapshot)]
@@ -276,7 +277,8 @@ def forged(data, **changes):
     text = json.dumps(content, separators=(",", ":")).encode()
     inner = hashlib.sha256(text).digest() + text
     magic, fmu, _, _, *progress = HEAD_FIELDS.unpack(head)
-    progress_bytes = head[32:]
+    progress[0] = progress[0] if mode is None else mode
+    progress_bytes = HEAD_FIELDS.pack(magic, fmu, 0, 0, *progress)[32:]
     check = 0xCBF29CE484222325
     for byte in progress_bytes + inner:
         check = (check ^ byte) * 0x100000001B3 % 2**64
@@ -304,3 +306,29 @@ def test_a_state_that_no_instance_can_have_had_leaves_the_instance_as_it_was(fle
         assert one.setFMUState(state) == ERROR
         assert len(one.said) == 1
         assert one.step(H, H, **sample(H)) == twin.step(H, H, **sample(H))
+
+
+@pytest.mark.parametrize("mode", [0, 3, 16, 1024])
+def test_a_state_of_a_mode_that_there_is_not_is_refused(flexible_joint, mode):
+    with opened(flexible_joint.plant) as one:
+        one.begin()
+        data = one.bytes_of(one.state())
+        assert one.from_bytes(forged(data))[0] == OK
+        assert one.from_bytes(forged(data, mode))[0] == ERROR
+        assert one.said[-1].endswith("received a state that no instance can have")
+        assert one.doStep(0.0, H) == OK
+
+
+def test_a_state_that_is_overwritten_by_another_instance_belongs_to_that_one(flexible_joint):
+    with unpacked(flexible_joint.plant) as instance:
+        one, other = instance(), instance()
+        for each in (one, other):
+            each.begin()
+        state = one.state()
+        get = other.fmu.dll.fmi2GetFMUstate
+        assert get(other.fmu.component, ctypes.byref(state)) == OK
+        step = other.step(0.0, H)
+        one.fmu.freeInstance()
+        one.fmu.freeInstance = lambda: None  # by the fixture, once more
+        assert other.setFMUState(state) == OK
+        assert other.step(0.0, H) == step

@@ -320,11 +320,11 @@ def test_the_first_row_of_a_coupled_run_has_the_right_values(flexible_joint):
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
-        ("pi_end", -1.0, "pi_end: expected a finite number of at least 0, received -1.0"),
-        ("pi_end", nan, "pi_end: expected a finite number of at least 0, received nan"),
+        ("pi_end", -1.0, "pi_end: expected a finite number > 0, received -1.0"),
+        ("pi_end", nan, "pi_end: expected a finite number > 0, received nan"),
         ("pi_start", 0.0, "pi_start: expected a finite number > 0, received 0.0"),
         ("pi_ramp_time", -1.0, "pi_ramp_time: expected a finite number of at least 0, received -1.0"),
-        ("alpha", -1.0, "alpha: expected a finite number of at least 0, received -1.0"),
+        ("alpha", -1.0, "alpha: expected a finite number > 0, received -1.0"),
         ("joint_stiffness", inf, "joint_stiffness: expected a finite number, received inf"),
         ("method", 77, "method: expected one of 1 (paper)"),
         ("disturbance_order", 4, "disturbance_order: expected a finite number of at least 0 and at most 3, received 4"),

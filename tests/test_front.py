@@ -72,7 +72,7 @@ def test_the_binary_asks_the_loader_for_no_python_and_shows_nothing_but_fmi(flex
     assert "Build ID" not in said
     stock = native.library.parent / "pythonfmu-export.so"
     assert functions(native.library) == {name for name in functions(stock) if name.startswith("fmi2")} | {
-        "ndob_fmu_python_lock"
+        "ndob_fmu_python"
     }
 
 

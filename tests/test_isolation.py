@@ -169,3 +169,93 @@ def test_the_code_of_an_fmu_has_all_the_references_that_are_counted_on_after_man
     done = run_clean(GLOBALS, fmus[1], tmp_path / "unpacked", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) == 0
+
+
+KEYS = """
+import ctypes, sys
+from pathlib import Path
+from shutil import copytree
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+
+def keys_left():
+    made, key = [], ctypes.c_uint()
+    while ctypes.CDLL(None).pthread_key_create(ctypes.byref(key), None) == 0:
+        made.append(key.value)
+    for each in made:
+        ctypes.CDLL(None).pthread_key_delete(each)
+    return len(made)
+
+description = read_model_description(sys.argv[1])
+identifier = description.coSimulation.modelIdentifier
+folder = extract(sys.argv[1], sys.argv[2])
+left = []
+for i in range(4):
+    copy = copytree(folder, f"{folder}{i}")
+    fmu = FMU2Slave(guid=description.guid, unzipDirectory=copy, modelIdentifier=identifier, instanceName=str(i))
+    fmu.instantiate()
+    fmu.freeInstance()
+    left.append(keys_left())
+print(left[0] - left[-1])
+"""
+
+
+def test_every_further_folder_that_an_fmu_is_unpacked_to_takes_no_key_of_the_process(fmus, tmp_path):
+    """There are 1024: a study that unpacks anew for each run came to an end at the thousandth."""
+    done = run_clean(KEYS, fmus[0], tmp_path / "unpacked", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) == 0
+
+
+def test_a_damaged_copy_of_an_fmu_spoils_no_other(fmus, tmp_path):
+    """In a process that has not loaded the code before."""
+    program = """
+import sys
+from pathlib import Path
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+
+def load(fmu, name, damage=None):
+    description = read_model_description(fmu)
+    folder = extract(fmu, f"{sys.argv[1]}/{name}")
+    if damage:
+        next(Path(folder).glob(damage)).write_bytes(b"\\0")
+    identifier = description.coSimulation.modelIdentifier
+    slave = FMU2Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=identifier, instanceName=name)
+    try:
+        slave.instantiate()
+    except Exception:
+        return "refused"
+    slave.freeInstance()
+    return "loaded"
+
+plant, observer = sys.argv[2:]
+print(load(plant, "damaged", "resources/ndob_runtime_*/zeros.py"), load(plant, "plant"), load(observer, "observer"))
+"""
+    done = run_clean(program, tmp_path, fmus[0], fmus[1], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "refused loaded loaded"
+
+
+def test_folders_with_an_encoded_space_in_their_names_are_told_apart(fmus, tmp_path):
+    """pythonfmu reads such through a name that the next one gets too; Python remembers what lay there by its time."""
+    folders = [tmp_path / "a%20b", tmp_path / "c%20d"]
+    program = """
+import os, sys
+from pathlib import Path
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+
+for number, fmu in enumerate(sys.argv[1:3]):
+    description = read_model_description(fmu)
+    folder = extract(fmu, sys.argv[3 + number])
+    for path in [Path(folder), *Path(folder).rglob("*")]:
+        os.utime(path, (1e9, 1e9))
+    identifier = description.coSimulation.modelIdentifier
+    slave = FMU2Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=identifier, instanceName="one")
+    slave.instantiate()
+    slave.freeInstance()
+print("both")
+"""
+    done = run_clean(program, fmus[0], fmus[1], *folders, cwd=tmp_path)
+    assert (done.returncode, done.stdout.splitlines()[-1:]) == (0, ["both"]), done.stdout + done.stderr

@@ -373,3 +373,9 @@ def test_a_model_can_be_varied_without_touching_the_original():
     other = replace(joint, name="Other", x0=[0.0] * 4)
     assert (other.name, other.x0, joint.x0) == ("Other", (0.0,) * 4, (1.0,) * 4)
     np.testing.assert_array_equal(other.linear_part().A, joint.linear_part().A)
+
+
+@pytest.mark.parametrize("text", ["a\x07bell", "\ud800", "\ufffe", 5])
+def test_a_description_that_no_model_description_could_carry_is_refused(text):
+    assert "text of a: expected characters that XML can carry" in refused(descriptions={"a": text})
+    assert "text of description: expected characters that XML can carry" in refused(description=text)

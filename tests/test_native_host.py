@@ -144,7 +144,59 @@ def test_two_threads_step_two_instances_to_the_bits_of_one(observer):
     assert (done.code, done.log, got) == (0, [], [alone, alone])
 
 
+def test_a_host_that_traps_floating_point_errors_lives_keeps_its_traps_and_gets_the_same_bits(observer):
+    """LAPACK divides by zero on purpose."""
+    outputs = observer.references("link_angle_hat", "load_torque_hat")
+    run = (*STEP, f"run 20 0.001 - {outputs}")
+    expected = observer.run(*run).replies[-1]
+    done = observer.run("traps", *run, "traps")
+    assert (done.code, done.log) == (0, [])
+    assert done.replies[0] == "traps off"
+    assert done.replies[-2:] == [expected, "traps on"]
+
+
+def test_threads_may_make_and_free_instances_with_their_states_at_once(plant):
+    done = plant.run("new keeper", "storm 60", "setup 0", "enter", "exit", "step 0 0.001")
+    assert (done.code, done.log) == (0, [])
+    assert done.replies == ["new OK", "storm OK", "setup OK", "enter OK", "exit OK", "step OK"]
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "words"),
+    [
+        ("slavemodule.txt", None, ["expected the file slavemodule.txt of the build, received none"]),
+        ("slavemodule.txt", b"", ["slavemodule.txt: expected FlexibleJointPlant_"]),
+        ("FlexibleJointPlant_*.py", None, ["expected the file FlexibleJointPlant_"]),
+        ("FlexibleJointPlant_*.py", b"", ["received code that does not run"]),
+        ("ndob_runtime_*/plant.py", None, ["plant.py of the build, received none"]),
+        ("ndob_runtime_*/plant.py", b"\0", ["received code that does not run", "SyntaxError"]),
+        ("pythonfmu/enums.py", None, ["expected the file pythonfmu/enums.py of the build, received none"]),
+        ("front.txt", b"guid={1}\n", ["front.txt: expected the file that the build wrote"]),
+    ],
+)
+def test_an_fmu_with_missing_or_damaged_files_ends_in_one_line_and_no_instance(plant, file, content, words, tmp_path):
+    copy = moved(plant, tmp_path / "damaged")
+    (path,) = copy.resources.glob(file)
+    if content is None:
+        path.unlink()
+    else:
+        path.write_bytes(content)
+    assert_one_error(copy.run("new fmu", guid=plant.guid), *words)
+
+
 # -- which Python
+
+
+def test_a_python_whose_path_ends_like_one_that_was_tried_is_tried_too(plant, tmp_path):
+    copy = elsewhere(plant, tmp_path / "fmu")
+    second = tmp_path / "bin"
+    first = Path(f"{tmp_path}/pre{second}")
+    for folder, program in ((first, "exit 1"), (second, f'exec "{sys.executable}" "$@"')):
+        folder.mkdir(parents=True)
+        (folder / "python3").write_text(f"#!/bin/sh\n{program}\n", "utf-8")
+        (folder / "python3").chmod(0o755)
+    done = copy.run(*RUN_AND_LEAVE, env={"PATH": f"{first}:{second}"})
+    assert (done.code, done.log, done.replies[0]) == (0, [], "new OK")
 
 
 def test_the_building_environments_python_is_found_with_nothing_set(plant):

@@ -7,10 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from clean_process import ENVIRONMENT
 
 from ndob_fmu.cli import main
+from ndob_fmu.cosim import open_ssp, simulate
+from ndob_fmu.cosim.picture import draw_system
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -62,3 +65,20 @@ def test_the_layout_names_what_exists():
     layout = README.split("## Layout")[1].split("##")[0]
     for name in re.findall(r"^ {4,6}((?:[a-z_]+/)*[a-z_]+(?:\.py|/))", layout, re.MULTILINE):
         assert (ROOT / name).exists() or (ROOT / "ndob_fmu" / name).exists(), name
+
+
+def test_the_system_of_the_page_about_systems_is_written_and_runs(pendulum):
+    page = (ROOT / "docs" / "systems.md").read_text("utf-8")
+    assert main(["build", "pendulum.py", "--out", ".", "--components"]) == 0
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], {})
+    assert main(["check", "pendulum.ssp"]) == 0
+    recording = simulate("pendulum.ssp", stop_time=1.0)
+    error = (recording["observer.wind_torque_hat"] - recording["plant.wind_torque_total"])[500:]
+    assert abs(error).max() < 0.1 * np.ptp(recording["plant.wind_torque_total"])
+
+
+def test_the_picture_on_the_page_about_systems_is_that_of_the_system(shipped):
+    with open_ssp(shipped.systems / "disturbance_rejection.ssp") as (system, _):
+        assert (ROOT / "docs" / "disturbance_rejection.svg").read_bytes() == draw_system(
+            system, "disturbance_rejection"
+        )

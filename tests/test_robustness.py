@@ -73,12 +73,12 @@ def test_a_state_can_be_restored_that_was_saved_after_parameters_that_admit_no_d
         assert observer.setupExperiment(startTime=0.0) == OK
         assert observer.enterInitializationMode() == OK
         observer.get()
-        assert observer.set("disturbance_bound", 0.0) == OK
+        assert observer.set("motor_damping", 1e12) == OK
         state = observer.state()
         assert observer.reset() == OK
         assert observer.setFMUState(state) == OK
         assert observer.exitInitializationMode() == ERROR
-        assert observer.set("disturbance_bound", 5.0) == OK
+        assert observer.set("motor_damping", 1.0) == OK
         assert observer.exitInitializationMode() == OK
 
 
@@ -93,6 +93,39 @@ def test_a_hundred_instances_freed_in_any_order_leave_little_behind(fmu):
     grown = soak.measure(fmu, "crowds", 1)
     assert grown.blocks < 25 * 100
     assert grown.heap < 1000 * 100
+
+
+INTERRUPTED = """
+import os, signal, sys, threading
+sys.path.insert(0, sys.argv[2])
+from fmi_instance import OK, unpacked
+
+def told(number, frame):
+    raise TimeoutError
+
+signal.signal(signal.SIGALRM, told)
+came = []
+with unpacked(sys.argv[1]) as instance:
+    for n in range(30):
+        one, k = instance(str(n)), 0
+        one.begin()
+        number, expected = ((signal.SIGINT, KeyboardInterrupt), (signal.SIGALRM, TimeoutError))[n % 2]
+        threading.Timer(0.01 + 0.0007 * n, os.kill, (os.getpid(), number)).start()
+        try:
+            while True:
+                assert one.doStep(k * 1e-3, 1e-3) == OK
+                one.get()
+                k += 1
+        except expected:
+            came.append(one.get() is not None and not one.said)
+print(len(came), all(came))
+"""
+
+
+def test_ctrl_c_and_other_signals_reach_the_python_host_and_leave_the_fmu_alone(fmu):
+    command = [sys.executable, "-c", INTERRUPTED, str(fmu), str(Path(__file__).parent)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout.split()) == (0, ["30", "True"]), done.stderr
 
 
 def test_two_threads_step_two_instances_to_the_bits_of_one(fmu, tmp_path):

@@ -88,7 +88,7 @@ def test_a_value_out_of_its_range_is_refused_at_the_start_as_if_it_had_been_set(
         assert one.setupExperiment(startTime=0.0) == OK
         assert one.enterInitializationMode() == OK
         assert one.exitInitializationMode() == ERROR
-        assert one.said[-1] == "pi_end: expected a finite number of at least 0, received -1.0"
+        assert one.said[-1] == "pi_end: expected a finite number > 0, received -1.0"
         assert one.set("pi_end", 1e6) == OK
         assert one.exitInitializationMode() == OK
 

@@ -3,9 +3,8 @@
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.loops import Loop, algebraic_loops
-from ndob_fmu.cosim.package import build_ssp
 from ndob_fmu.cosim.run import open_system, simulate
-from ndob_fmu.cosim.ssp import open_ssp
+from ndob_fmu.cosim.ssp import build_ssp, check_ssp, open_ssp, parameter_sets
 from ndob_fmu.cosim.system import Connection, Port, System
 from ndob_fmu.results import Recording
 
@@ -21,7 +20,9 @@ __all__ = [
     "Variable",
     "algebraic_loops",
     "build_ssp",
+    "check_ssp",
     "open_ssp",
     "open_system",
+    "parameter_sets",
     "simulate",
 ]

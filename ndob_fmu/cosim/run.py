@@ -56,7 +56,7 @@ def simulate(
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
     SimulationError for a component that fails. No component and no temporary file outlives the call.
     """
-    with open_system(system) as (opened, experiment):
+    with open_system(system, step_size) as (opened, experiment):
         clock = Clock.over(
             _first(start_time, experiment.start_time, 0.0),
             _time("stop time", stop_time, experiment.stop_time),
@@ -103,12 +103,16 @@ def _warn_of_delays(system: System) -> None:
 
 
 @contextmanager
-def open_system(system: System | str | Path) -> Iterator[tuple[System, Experiment]]:
-    """Give the System itself, or the one behind the path of an .ssp or .fmu, with the default experiment, if any."""
+def open_system(system: System | str | Path, step_size: float | None = None) -> Iterator[tuple[System, Experiment]]:
+    """Give the System itself, or the one behind the path of an .ssp or .fmu, with the default experiment, if any.
+
+    step_size: the communication step (s), by default that of the experiment, of which an .ssp's components' own steps
+    are multiples.
+    """
     if isinstance(system, System):
         yield system, Experiment()
     elif Path(system).suffix == ".ssp":
-        with open_ssp(system) as opened:
+        with open_ssp(system, step_size) as opened:
             yield opened
     elif Path(system).suffix == ".fmu":
         fmu = FmuComponent(system)

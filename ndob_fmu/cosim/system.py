@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ndob_fmu.cosim.component import Component, Value, Variable
+from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
@@ -131,6 +132,30 @@ class System:
         if len(found) == 1 and self.variable(found[0]).causality == "output":
             return replace(self, outputs={**self.outputs, name: Link(found[0])})
         return replace(self, inputs={**self.inputs, name: tuple(Link(port) for port in found)})
+
+    def write(
+        self,
+        path: str | Path,
+        *,
+        start_time: float = 0.0,
+        stop_time: float | None = None,
+        step_size: float | None = None,
+        parameter_set: str = "nominal",
+        description: str = "",
+    ) -> Path:
+        """Write the system with its FMUs as a package (.ssp) and return its path; the same system gives the same bytes.
+
+        Times of the default experiment in seconds. parameter_set: the name under which all start values go. Names at
+        the boundary become connectors, and those of parameters the entries of a parameter mapping; without any the
+        package keeps to what libcosim, ecos, OMSimulator and fmpy read.
+
+        Raises CouplingError for a component that is no FMU, an input without driver, and start values that contradict
+        a name at the boundary; UsageError for step ratios without step_size and a file that cannot be written.
+        """
+        from ndob_fmu.cosim.ssp.write import write_ssp  # which knows systems
+
+        experiment = Experiment(start_time, stop_time, step_size)
+        return write_ssp(self, Path(path), experiment, parameter_set, description)
 
     def starts(self, name: str, value: Value) -> dict[Port, Value]:
         """Return what a value of ``component.variable``, or of an input at the boundary, is at each port behind it.

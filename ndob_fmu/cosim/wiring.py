@@ -78,7 +78,7 @@ def wire(
             )
     kept = {port: value for port, value in system.start_values.items() if port not in table.ports}
     system = replace(system, start_values={**kept, **start_values})
-    _require_drivers(system, {*connected, *table.ports, *system.start_values})
+    require_drivers(system, {*connected, *table.ports, *system.start_values})
 
     outputs = [
         (Port(name, variable.name), variable.type)
@@ -98,7 +98,8 @@ def wire(
     )
 
 
-def _require_drivers(system: System, driven: set[Port]) -> None:
+def require_drivers(system: System, driven: set[Port]) -> None:
+    """Raise CouplingError, naming them, for the inputs that are not among those driven."""
     inputs = [
         Port(n, v.name) for n, part in system.components.items() for v in part.variables if v.causality == "input"
     ]

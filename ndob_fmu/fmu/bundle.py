@@ -7,6 +7,7 @@ first one's. Every bundled module is therefore named by a digest of its content.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,7 @@ def bundle(
     data = f"ndob_equations_{_digest({'': data_text, 'package': package})}"
 
     def renamed(text: str) -> str:
-        return text.replace("ndob_fmu.runtime", package).replace("from fmus.", f"from {package}.")
+        return re.sub(r"(?m)^( *from )(?:ndob_fmu\.runtime|fmus)\b", rf"\1{package}", text)
 
     files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
     files[START_VALUES] = "{}\n"
@@ -54,11 +55,17 @@ def bundle(
         f'    {class_name} = globals()["{class_name}"]\n'
         f"    slave_entry.add_reference(globals())\n"
         f"else:\n"
+        f"    import sys\n\n"
         # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
-        # by the time another FMU of the process asks for the rest.
-        f"    from {package} import {modules}\n"
-        + (f"    from {data} import {', '.join(arguments)}\n" if arguments else "")
-        + f"    from {package}.{slave_module} import {slave_class}\n\n"
+        # by the time another FMU of the process asks for the rest. And if that folder is damaged none may go there.
+        f"    try:\n"
+        f"        from {package} import {modules}\n"
+        + (f"        from {data} import {', '.join(arguments)}\n" if arguments else "")
+        + f"        from {package}.{slave_module} import {slave_class}\n"
+        f"    except BaseException:\n"
+        f'        for name in [name for name in sys.modules if name.partition(".")[0] == "{package}"]:\n'
+        f"            del sys.modules[name]\n"
+        f"        raise\n\n"
         f"    class {class_name}({slave_class}):\n"
         f'        """The {slave_class} of this FMU."""\n\n'
         f"        def __init__(self, **kwargs):\n"

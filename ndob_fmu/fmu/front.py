@@ -67,18 +67,25 @@ def with_front(contents: Mapping[str, bytes], root: ET.Element) -> dict[str, byt
         **contents,
         binary: front,
         SLAVE_BINARY: contents[binary],
-        DESCRIPTION: description(root).encode(),
+        DESCRIPTION: description(root, contents).encode(),
     }
 
 
-def description(root: ET.Element) -> str:
-    """Return front.txt: what the front has to know of the FMU, and the Python that it tries first."""
-    lines = [f"guid={root.get('guid')}", *(f"{name}={path}" for name, path in building_python().items())]
+def description(root: ET.Element, contents: Mapping[str, bytes]) -> str:
+    """Return front.txt: what the front has to know of the FMU and its files, and the Python that it tries first."""
+    files = [name.removeprefix("resources/") for name in contents if name.startswith("resources/")]
+    lines = [
+        f"guid={root.get('guid')}",
+        *(f"{name}={path}" for name, path in building_python().items()),
+        f"entry={contents['resources/slavemodule.txt'].decode().strip()}",
+        f"files={'|'.join(sorted(files))}",
+    ]
     by_reference = {int(element.get("valueReference", "")): element for element in root.iterfind("ModelVariables/*")}
     if sorted(by_reference) != list(range(len(by_reference))):
         raise LookupError("pythonfmu wrote value references that do not count from 0")
     for _, element in sorted(by_reference.items()):
         lines.append(f"variable={_TYPES[element[0].tag]}{_role(element)} {element.get('name')}")
+    lines.append(f"variables={len(by_reference)}")
     return "\n".join(lines) + "\n"
 
 
@@ -119,7 +126,7 @@ def _compiled(wish: str) -> bytes | None:
         sources = sorted(path.name for path in SOURCES.glob("*.c"))
         command = [*compiler, *_FLAGS, f"-ffile-prefix-map={SOURCES}=.", "-I", str(HEADERS), *sources]
         done = subprocess.run(
-            [*command, "-o", str(target), "-ldl", "-lpthread"],
+            [*command, "-o", str(target), "-ldl", "-lpthread", "-lm"],
             cwd=SOURCES,
             stdin=subprocess.DEVNULL,
             capture_output=True,

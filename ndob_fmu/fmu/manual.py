@@ -186,7 +186,7 @@ def _start(variable: Variable) -> str:
 def _range(variable: Variable) -> str:
     if variable.items is not None:
         return ", ".join(f"{value} {item}" for item, value in variable.items.items())
-    bounds = [("≥", variable.minimum), ("≤", variable.maximum)]
+    bounds = [(">" if variable.positive else "≥", variable.minimum), ("≤", variable.maximum)]
     limits = ", ".join(f"{sign} {_number(bound)}" for sign, bound in bounds if bound is not None)
     return limits or ("finite" if variable.type == "Real" else "")
 

@@ -1,4 +1,4 @@
-"""The variables of the component FMUs: disturbance source, encoder and controller."""
+"""The variables of the component FMUs: disturbance source, encoder, torsion spring and controller."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ndob_fmu.runtime.interface import Variable
 DESCRIPTIONS = {
     "source": "Disturbance as a function of time: signals, band-limited noise, or a profile from a file",
     "encoder": "Encoder: a sampled, quantised, delayed and sometimes lost measurement of an angle",
+    "spring": "Torsion spring: pulls two angles together",
     "controller": "State feedback on the observer's estimates, with compensation of the estimated disturbance",
 }
 EXPERIMENT = Experiment(stop_time=10.0, step_size=1e-3)
@@ -77,6 +78,19 @@ def encoder_variables() -> tuple[Variable, ...]:
         _parameter("dropout_probability", 0.0, "Probability that a sample is lost", minimum=0.0, maximum=1.0),
         _parameter("dropped_sample", 2, "What is shown for a lost sample", "Enumeration", items=MISSING),
         _parameter("between_samples", 1, "What is shown where no sample is due", "Enumeration", items=MISSING),
+    )
+
+
+def spring_variables() -> tuple[Variable, ...]:
+    """Return the variables of `TorsionSpring`."""
+    angles = ("angle_a", "angle_b")
+    return (
+        *(Variable(name, "input", "Angle of one end", start=0.0, unit="rad") for name in angles),
+        *(
+            Variable(f"torque_{end}", "output", f"Torque on the end of angle_{end}", unit="N.m", depends_on=angles)
+            for end in ("a", "b")
+        ),
+        _parameter("stiffness", 1.0, "Stiffness", unit="N.m/rad", minimum=0.0),
     )
 
 

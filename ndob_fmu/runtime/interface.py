@@ -19,7 +19,8 @@ class Variable:
 
     `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
     those of the end of the last step, whatever the inputs become afterwards. `sampled`: a signal that is read as of the
-    start of a step, or made once for each; a value extrapolated into the step would be wrong.
+    start of a step, or made once for each; a value extrapolated into the step would be wrong. `positive`: the minimum,
+    which is 0, is itself not allowed.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Variable:
     items: Mapping[str, int] | None = None
     depends_on: tuple[str, ...] = ()
     sampled: bool = False
+    positive: bool = False
 
     @property
     def variability(self) -> str:
@@ -87,7 +89,7 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         ("std", "One-sigma error bar of {}_hat", ()),
     ):
         outputs += [
-            _output(eq, f"{d}_{suffix}", d, text.format(d), depends_on, bound)
+            _output(eq, f"{d}_{suffix}", d, text.format(d), depends_on, bound, 0.0 if suffix == "std" else None)
             for d, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
         ]
     outputs += [
@@ -110,7 +112,11 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
     ]
     starts += [
         _parameter(
-            f"{name}_hat_start_std", value, f"Standard deviation of {name}_hat_start", unit=_unit(eq, name), minimum=0.0
+            f"{name}_hat_start_std",
+            value,
+            f"Standard deviation of {name}_hat_start",
+            unit=_unit(eq, name),
+            positive=True,
         )
         for name, value in zip(eq.states, eq.xhat0_std, strict=True)
     ]
@@ -143,7 +149,7 @@ def _tuning(eq: Equations) -> list[Variable]:
             minimum=0.0,
         ),
         *(
-            _parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), minimum=0.0)
+            _parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)
             for d, value in zip(eq.disturbances, eq.disturbance_bound, strict=True)
         ),
         *(
@@ -160,10 +166,10 @@ def _tuning(eq: Equations) -> list[Variable]:
             o.alpha,
             "Prescribed stability; below the distance of the transmission zeros from the imaginary axis",
             unit="1/s",
-            minimum=0.0,
+            positive=True,
         ),
-        _parameter("pi_start", o.pi_start, "Method 1: pi of the Riccati equation at the start", minimum=0.0),
-        _parameter("pi_end", o.pi_end, "Design parameter pi; of method 1 after the ramp", minimum=0.0),
+        _parameter("pi_start", o.pi_start, "Method 1: pi of the Riccati equation at the start", positive=True),
+        _parameter("pi_end", o.pi_end, "Design parameter pi; of method 1 after the ramp", positive=True),
         _parameter(
             "pi_ramp_time",
             o.pi_ramp_time,
@@ -216,6 +222,7 @@ def _parameter(
     unit: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
+    positive: bool = False,
     items: Mapping[str, int] | None = None,
 ) -> Variable:
     return Variable(
@@ -225,7 +232,8 @@ def _parameter(
         type=type_,
         start=start,
         unit=unit,
-        minimum=minimum,
+        positive=positive,
+        minimum=0.0 if positive else minimum,
         maximum=maximum,
         nominal=abs(start) if type_ == "Real" and not 1e-3 < (abs(start) or 1.0) < 1e3 else None,
         items=items,
@@ -239,12 +247,14 @@ def _output(
     description: str,
     depends_on: tuple[str, ...] = (),
     nominal: float | None = None,
+    minimum: float | None = None,
 ) -> Variable:
     return Variable(
         name=name,
         causality="output",
         description=description,
         unit=_unit(eq, of),
+        minimum=minimum,
         depends_on=depends_on,
         nominal=nominal,
     )

@@ -12,8 +12,9 @@ from math import inf, isfinite
 from .library import DISCARD, ERROR, OK, WARNING, Library, Variable
 
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED = "instantiated", "initialization", "stepping", "terminated"
-NO_DESIGN = "disturbance_bound"  # no disturbance to design for if it is 0
-SAMPLED_DATA = 2  # the method that designs for it
+NO_DESIGN = ("motor_damping", 1e12)  # in range, and no observer can be made for it
+# Their declared minimum 0 is itself not allowed, which FMI has no word for.
+POSITIVE = ("alpha", "pi_start", "pi_end", "disturbance_bound")
 LARGEST_INPUT = 10.0
 LONGEST_STEP = 0.01
 SHORTEST_STEP = 1e-4
@@ -24,6 +25,8 @@ def acceptable(variable: Variable, value: float) -> bool:
     """Return whether it is in the declared range."""
     if variable.items:
         return value in variable.items
+    if value == 0.0 and (variable.name in POSITIVE or variable.name.endswith("_hat_start_std")):
+        return False
     least = -inf if variable.least is None else variable.least
     most = inf if variable.most is None else variable.most
     return isfinite(value) and least <= value <= most
@@ -88,7 +91,7 @@ def refreshed(library: Library, memory: Memory) -> set[int]:
     if memory.refused:
         return {ERROR}
     set_to = {library.variables[vr].name: value for vr, value in memory.values.items()}
-    if set_to.get("method") == SAMPLED_DATA and set_to[NO_DESIGN] == 0.0:
+    if library.name.endswith("Observer") and NO_DESIGN in set_to.items():
         return {ERROR}
     status = WARNING if holds_inputs(library, memory) else OK
     return {status, ERROR} if wild(library, memory) else {status}

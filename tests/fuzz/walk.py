@@ -326,8 +326,8 @@ class Walk:
             return nan if kind < 0.12 else self.random.uniform(-1.0, 1.0)
         if kind < 0.09:
             return self.random.choice([nan, inf, -1.0])
-        if variable.name == reference.NO_DESIGN and kind < 0.3:
-            return 0.0
+        if variable.name == reference.NO_DESIGN[0] and kind < 0.3:
+            return reference.NO_DESIGN[1]
         return self.random.choice(reference.usual(variable))
 
     def observe(self) -> None:

@@ -11,12 +11,15 @@
  *   cost STEPS SETREFS GETREFS BOOLREFS   microseconds that getting and setting take, the least of ten tries
  *   threads STEPS            steps the instances at places 0 and 1 on two threads; prints their first outputs
  *   log ON CATEGORIES        save  restore  drop  bytes FILE  unbytes FILE      FMU state
+ *   traps                    from now on a division by zero and their like end the process; prints whether they did already
+ *   storm TIMES              two threads make instances, take and free states of their own, and free all
  *
  * Log messages are printed as "log STATUS CATEGORY TEXT". */
 #define _GNU_SOURCE
 #include "fmi2Functions.h"
 
 #include <dlfcn.h>
+#include <fenv.h>
 #include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -66,6 +69,23 @@ static void *steps(void *instance) {
     return NULL;
 }
 
+static const char *guid_of_all, *uri_of_all;
+static fmi2CallbackFunctions callbacks_of_all;
+
+static void *storm(void *times) {
+    for (int k = 0; k < *(int *)times; k++) {
+        fmi2Component c = CALL(Instantiate)("storm", fmi2CoSimulation, guid_of_all, uri_of_all, &callbacks_of_all, 0, 0);
+        fmi2FMUstate states[4] = {NULL};
+        fmi2Status worst = c ? fmi2OK : fmi2Error;
+        for (int i = 0; i < 4 && c; i++)
+            if (CALL(GetFMUstate)(c, &states[i]) != fmi2OK) worst = fmi2Error;
+        if (c && CALL(FreeFMUstate)(c, &states[k % 4]) != fmi2OK) worst = fmi2Error;
+        if (c) CALL(FreeInstance)(c); /* and with it the other three */
+        if (worst != fmi2OK) puts("storm: a call failed");
+    }
+    return NULL;
+}
+
 int main(int count, char *words[]) {
     if (count != 4 || !(library = dlopen(words[1], RTLD_NOW | RTLD_LOCAL))) return fprintf(stderr, "%s\n", dlerror()), 2;
     const char *uri = strcmp(words[2], "-") ? words[2] : NULL;
@@ -91,7 +111,18 @@ int main(int count, char *words[]) {
             printf("new %s\n", c ? "OK" : "NULL");
             continue;
         }
-        if (IS("at")) c = places[atoi(word[1])];
+        if (IS("traps")) {
+            int before = feenableexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
+            printf("traps %s\n", before ? "on" : "off");
+            continue;
+        }
+        if (IS("storm")) {
+            guid_of_all = words[3], uri_of_all = uri, callbacks_of_all = callbacks;
+            int times = atoi(word[1]);
+            pthread_t one, other;
+            pthread_create(&one, NULL, storm, &times), pthread_create(&other, NULL, storm, &times);
+            pthread_join(one, NULL), pthread_join(other, NULL);
+        } else if (IS("at")) c = places[atoi(word[1])];
         else if (IS("setup")) status = CALL(SetupExperiment)(c, 0, 0.0, atof(word[1]), word[2] != NULL, word[2] ? atof(word[2]) : 0.0);
         else if (IS("enter")) status = CALL(EnterInitializationMode)(c);
         else if (IS("exit")) status = CALL(ExitInitializationMode)(c);

@@ -97,11 +97,35 @@ static bool add_variable(Description *description, size_t *room, const char *val
     return true;
 }
 
+/* Return whether the files (apart by |) can be read and pythonfmu is told to run the entry; else give the reason. What it
+ * does not find there it does not survive. */
+static bool complete(const char *folder, char *files, const char *entry, char *reason, size_t size) {
+    for (char *name; (name = strsep(&files, "|"));) {
+        char *path = joined(folder, name);
+        bool there = path && access(path, R_OK) == 0;
+        free(path);
+        if (there) continue;
+        snprintf(reason, size, "%s: expected the file %s of the build, received none that can be read", folder, name);
+        return false;
+    }
+    char *path = joined(folder, "slavemodule.txt");
+    char *named = path ? whole_file(path) : NULL;
+    free(path);
+    if (named) named[strcspn(named, "\r\n")] = '\0';
+    bool right = named && strcmp(named, entry) == 0;
+    if (!right)
+        snprintf(reason, size, "%s/slavemodule.txt: expected %s, received %.60s", folder, entry,
+                 named ? named : "what cannot be read");
+    free(named);
+    return right;
+}
+
 bool description_read(Description *description, const char *folder, char *reason, size_t size) {
     *description = (Description){.guid = "", .executable = "", .library = "", .packages = ""};
     char *path = joined(folder, "front.txt");
     description->text = path ? whole_file(path) : NULL;
-    bool good = description->text != NULL;
+    bool good = description->text != NULL, whole = false;
+    char *files = "", *entry = "";
     size_t room = 0;
     char *rest = description->text;
     for (char *line; good && (line = strsep(&rest, "\n"));) {
@@ -112,14 +136,18 @@ bool description_read(Description *description, const char *folder, char *reason
         else if (strcmp(line, "python") == 0) description->executable = value;
         else if (strcmp(line, "libpython") == 0) description->library = value;
         else if (strcmp(line, "packages") == 0) description->packages = value;
+        else if (strcmp(line, "entry") == 0) entry = value;
+        else if (strcmp(line, "files") == 0) files = value;
         else if (strcmp(line, "variable") == 0) good = add_variable(description, &room, value);
+        else if (strcmp(line, "variables") == 0) whole = strtoul(value, NULL, 10) == description->count;
     }
-    if (good && !*description->guid) good = false;
+    if (good && !(*description->guid && whole)) good = false;
     if (!good) {
         snprintf(reason, size, "%s: expected the file that the build wrote, received one that cannot be read",
                  path ? path : "front.txt");
-        description_free(description);
     }
+    good = good && complete(folder, files, entry, reason, size);
+    if (!good) description_free(description);
     free(path);
     return good;
 }

@@ -8,6 +8,7 @@
 
 #include "fmi2Functions.h"
 
+#include <fenv.h>
 #include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -35,6 +36,7 @@ typedef struct {
 /* Decode a resource location into the absolute path of a folder that holds front.txt (malloc), or return NULL with the
  * reason. */
 char *resources_folder(const char *location, char *reason, size_t size);
+/* Read it, and see that all is there that the slave will read. */
 bool description_read(Description *description, const char *folder, char *reason, size_t size);
 void description_free(Description *description);
 
@@ -44,12 +46,24 @@ void description_free(Description *description);
  * should know although all is well, or stays empty. */
 bool python_start(const Description *description, char *reason, size_t size, char *warning, size_t warning_size);
 bool python_alive(void);
+/* Whether the process had a Python of its own before the first of these FMUs. */
+bool python_is_the_hosts(void);
 /* Keep the calling thread's thread state from now on, instead of a new one for each call. */
 void python_keep_thread(void);
 void python_drop_thread(void);
-/* Take a folder from Python's path again. */
-void python_forget_path(const char *folder);
+/* Take a folder from Python's path again; `reused` says that others may have its name later. */
+void python_forget_path(const char *folder, bool reused);
+/* Have Python handle the signals that it has noted, and keep what the handlers raise; have it raised in the host. */
+void python_take_pending(void);
+void python_raise_taken(void);
 void python_leave(void);
+
+/* -- interrupts.c */
+
+void interrupts_hold_back(void); /* from now on, where Python handles them, during calls on the main thread */
+void interrupts_give_back(void);
+void interrupts_begin(void); /* of a call */
+void interrupts_end(void);
 
 /* -- log.c */
 
@@ -59,10 +73,12 @@ typedef struct {
     char *name;
     bool on;
     unsigned categories; /* bits by status */
+    char *overheard; /* where what the slave says goes in place of the host; NULL but while it is being made */
     fmi2Status worst; /* of the present call */
 } Log;
 
 #define ALL_CATEGORIES (~0u)
+#define OVERHEARD_SIZE 1024
 
 __attribute__((format(printf, 3, 4))) void log_line(Log *log, fmi2Status status, const char *format, ...);
 /* The logger that pythonfmu gets, with a Log as its environment. */
@@ -84,11 +100,12 @@ typedef struct {
 #define SLOTS_PER_CHUNK 256
 typedef struct {
     _Atomic(Slot *) chunks[256];
+    size_t next; /* no slot before this one is free */
 } Handles;
 
 void *handle_new(Handles *handles, void *object); /* NULL when all are taken or there is no memory */
 Slot *handle_slot(Handles *handles, const void *handle); /* NULL if it is none */
-void handle_free(Slot *slot);
+void handle_free(Handles *handles, Slot *slot);
 
 /* -- instance.c */
 
@@ -110,6 +127,11 @@ typedef struct {
 
 extern Slave slave;
 
+/* What of the calling thread is the host's: kept during a call. */
+typedef struct {
+    fenv_t numerics;
+} Surroundings;
+
 /* What a saved state has to bring back besides the slave's own. */
 typedef struct {
     uint32_t mode;
@@ -117,9 +139,13 @@ typedef struct {
     double last_time; /* the end of the last step that was accepted */
 } Progress;
 
+typedef struct State State;
+
 typedef struct {
     Slot *slot;
     fmi2Component slave;
+    Surroundings host;
+    State *states; /* that it has made */
     fmi2CallbackFunctions callbacks; /* pythonfmu keeps the pointer */
     Log log;
     Description description;
@@ -127,13 +153,21 @@ typedef struct {
     Progress progress;
 } Instance;
 
+/* -- call.c */
+
+extern Handles instances;
+
+void surroundings_enter(Surroundings *host);
+void surroundings_leave(const Surroundings *host);
 /* Begin a call: the instance, or NULL (which means fmi2Error) if the handle is none or the call is not allowed now. */
 Instance *enter(fmi2Component component, const char *function, unsigned modes);
 /* The worse of the slave's status and what it logged during the call. */
 fmi2Status judged(Instance *self, fmi2Status status);
 /* End the call and return the status. */
 fmi2Status leave(Instance *self, fmi2Status status);
-const char *mode_name(Mode mode);
+
+/* -- state.c */
+
 /* Release the states that the instance has made. */
 void states_free(Instance *self);
 

@@ -9,6 +9,7 @@ static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static uint64_t serial;
 
 #define SLOT_BITS 16
+#define SLOTS ((size_t)1 << SLOT_BITS)
 
 static uint64_t mixed(uint64_t x) {
     /* The finaliser of splitmix64. */
@@ -23,18 +24,15 @@ void *handle_new(Handles *handles, void *object) {
     pthread_mutex_lock(&lock);
     Slot *found = NULL;
     uintptr_t index = 0;
-    for (size_t c = 0; c < sizeof handles->chunks / sizeof *handles->chunks && !found; c++) {
-        Slot *chunk = atomic_load(&handles->chunks[c]);
+    for (; handles->next < SLOTS && !found; handles->next++) {
+        index = handles->next;
+        Slot *chunk = atomic_load(&handles->chunks[index / SLOTS_PER_CHUNK]);
         if (!chunk) {
             chunk = calloc(SLOTS_PER_CHUNK, sizeof *chunk);
             if (!chunk) break;
-            atomic_store(&handles->chunks[c], chunk);
+            atomic_store(&handles->chunks[index / SLOTS_PER_CHUNK], chunk);
         }
-        for (size_t i = 0; i < SLOTS_PER_CHUNK && !found; i++)
-            if (!atomic_load(&chunk[i].handle)) {
-                found = &chunk[i];
-                index = c * SLOTS_PER_CHUNK + i;
-            }
+        if (!atomic_load(&chunk[index % SLOTS_PER_CHUNK].handle)) found = &chunk[index % SLOTS_PER_CHUNK];
     }
     uintptr_t handle = 0;
     if (found) {
@@ -50,14 +48,18 @@ void *handle_new(Handles *handles, void *object) {
 }
 
 Slot *handle_slot(Handles *handles, const void *handle) {
-    uintptr_t index = (uintptr_t)handle & ((1u << SLOT_BITS) - 1);
+    uintptr_t index = (uintptr_t)handle & (SLOTS - 1);
     Slot *chunk = atomic_load_explicit(&handles->chunks[index / SLOTS_PER_CHUNK], memory_order_acquire);
     if (!chunk || !handle) return NULL;
     Slot *slot = &chunk[index % SLOTS_PER_CHUNK];
     return atomic_load_explicit(&slot->handle, memory_order_acquire) == (uintptr_t)handle ? slot : NULL;
 }
 
-void handle_free(Slot *slot) {
+void handle_free(Handles *handles, Slot *slot) {
+    pthread_mutex_lock(&lock);
+    uintptr_t index = (uintptr_t)atomic_load(&slot->handle) & (SLOTS - 1);
+    if (index < handles->next) handles->next = index;
     slot->object = NULL;
     atomic_store(&slot->handle, 0);
+    pthread_mutex_unlock(&lock);
 }

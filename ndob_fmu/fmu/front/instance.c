@@ -1,4 +1,4 @@
-/* Instances: made, led through FMI's modes, freed; and what every call begins and ends with. */
+/* Instances: made, led through FMI's modes, freed. */
 #define _GNU_SOURCE
 #include "front.h"
 
@@ -16,7 +16,6 @@
 #define FILE_SCHEME "file://"
 
 Slave slave;
-static Handles instances;
 static _Atomic int living;
 static pthread_mutex_t loading = PTHREAD_MUTEX_INITIALIZER;
 static char own_folder[PATH_MAX];
@@ -63,47 +62,6 @@ static bool load_slave(char *reason, size_t size) {
     return slave.library != NULL;
 }
 
-const char *mode_name(Mode mode) {
-    return mode == INSTANTIATED     ? "instantiated"
-           : mode == INITIALIZATION ? "in initialization mode"
-           : mode == STEPPING       ? "in step mode"
-           : mode == TERMINATED     ? "terminated"
-                                    : "lost after a fatal error";
-}
-
-Instance *enter(fmi2Component component, const char *function, unsigned modes) {
-    Slot *slot = handle_slot(&instances, component);
-    if (!slot) return NULL; /* freed, or never one: nobody to tell */
-    if (atomic_flag_test_and_set(&slot->busy)) return NULL;
-    Instance *self = slot->object;
-    if (!self || !python_alive()) return atomic_flag_clear(&slot->busy), NULL;
-    self->log.worst = fmi2OK;
-    if (!(self->progress.mode & modes)) {
-        char allowed[128] = "";
-        for (unsigned mode = INSTANTIATED; mode <= TERMINATED; mode <<= 1)
-            if (modes & mode) {
-                if (*allowed) strcat(allowed, " or ");
-                strcat(allowed, mode_name(mode));
-            }
-        log_line(&self->log, fmi2Error, "%s: expected an instance that is %s, received one that is %s", function,
-                 allowed, mode_name(self->progress.mode));
-        return atomic_flag_clear(&slot->busy), NULL;
-    }
-    python_keep_thread();
-    return self;
-}
-
-fmi2Status judged(Instance *self, fmi2Status status) {
-    if (self->log.worst > status) status = self->log.worst;
-    if (status >= fmi2Fatal) self->progress.mode = LOST;
-    return status;
-}
-
-fmi2Status leave(Instance *self, fmi2Status status) {
-    atomic_flag_clear(&self->slot->busy);
-    return status;
-}
-
 static bool is_utf8(const char *text) {
     for (size_t length; *text; text += length)
         if (!(length = character(text))) return false;
@@ -117,17 +75,23 @@ static void discard(Instance *self) {
     free(self);
 }
 
-/* Return the location in the one form that pythonfmu reads; it would take a literal %20 for a space. */
+/* Return the location in the one form that pythonfmu reads; it would take a literal %20 for a space, and reads UTF-8. */
 static char *slave_location(Instance *self, const char *folder) {
     char *location = malloc(strlen(folder) + 64);
     if (!location) return NULL;
-    if (strstr(folder, "%20")) {
+    if (strstr(folder, "%20") || !is_utf8(folder)) {
         self->folder = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
         sprintf(location, FILE_SCHEME "/proc/self/fd/%d", self->folder);
     } else {
         sprintf(location, FILE_SCHEME "%s", folder);
     }
     return location;
+}
+
+/* The last instance is gone. */
+static void left_by_all(void) {
+    interrupts_give_back();
+    python_drop_thread();
 }
 
 static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char *location, char **folder) {
@@ -152,9 +116,10 @@ static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char 
     if (!python_start(&self->description, reason, sizeof reason, warning, sizeof warning)) {
         log_line(
             &self->log, fmi2Error,
-            "fmi2Instantiate: expected a Python of 3.10 or later with NumPy and a shared libpython, received none: %s; "
-            "set NDOB_FMU_PYTHON to the path of such a Python",
-            reason);
+            "fmi2Instantiate: expected a Python of 3.10 or later with NumPy and a shared libpython, received none: %s; %s",
+            reason,
+            python_is_the_hosts() ? "install NumPy for the Python that the host runs in"
+                                  : "set NDOB_FMU_PYTHON to the path of such a Python");
         return false;
     }
     if (*warning) log_line(&self->log, fmi2Warning, "fmi2Instantiate: %s", warning);
@@ -165,6 +130,27 @@ static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char 
     return true;
 }
 
+/* Have pythonfmu make the slave; NULL, with a message, if it does not. */
+static fmi2Component made(Instance *self, fmi2String name, const char *guid, const char *location, fmi2Boolean visible) {
+    char said[OVERHEARD_SIZE] = "nothing";
+    Surroundings host;
+    surroundings_enter(&host);
+    python_keep_thread();
+    self->log.overheard = said;
+    fmi2Component component =
+        slave.Instantiate(name, fmi2CoSimulation, guid, location, &self->callbacks, visible, fmi2True);
+    self->log.overheard = NULL;
+    /* pythonfmu puts it first for good; by now all that the FMU carries is imported. */
+    python_forget_path(location + strlen(FILE_SCHEME), self->folder >= 0);
+    surroundings_leave(&host);
+    if (!component)
+        log_line(&self->log, fmi2Error,
+                 "fmi2Instantiate: expected the code that the build put into %s, received code that does not run (%s); "
+                 "likely cause: files that were changed or damaged",
+                 location + strlen(FILE_SCHEME), said);
+    return component;
+}
+
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     if (!functions) return NULL;
@@ -172,12 +158,11 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (!self) return NULL;
     bool named = name && *name && is_utf8(name);
     self->folder = -1;
-    self->log = (Log){functions->logger,
-                      functions->componentEnvironment,
-                      strdup(named ? name : "unnamed"),
-                      logging != fmi2False,
-                      ALL_CATEGORIES,
-                      fmi2OK};
+    self->log = (Log){.logger = functions->logger,
+                      .environment = functions->componentEnvironment,
+                      .name = strdup(named ? name : "unnamed"),
+                      .on = logging != fmi2False,
+                      .categories = ALL_CATEGORIES};
     self->callbacks =
         (fmi2CallbackFunctions){log_from_slave, functions->allocateMemory, functions->freeMemory, NULL, &self->log};
     self->progress = (Progress){.mode = INSTANTIATED};
@@ -187,16 +172,14 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         log_line(&self->log, fmi2Error, "fmi2Instantiate: instanceName: expected a name in UTF-8, received %s",
                  name ? (*name ? "other bytes" : "an empty string") : "NULL");
     } else if (prepared(self, type, guid, location, &folder) && (slave_folder = slave_location(self, folder))) {
-        python_keep_thread();
-        self->slave = slave.Instantiate(name, type, guid, slave_folder, &self->callbacks, visible, fmi2True);
-        /* pythonfmu puts it first for good; by now all that the FMU carries is imported. */
-        python_forget_path(slave_folder + strlen(FILE_SCHEME));
+        if (!living && python_is_the_hosts()) interrupts_hold_back();
+        self->slave = made(self, name, guid, slave_folder, visible);
         if (self->slave && !(handle = handle_new(&instances, self))) slave.FreeInstance(self->slave);
     }
     free(folder);
     free(slave_folder);
     if (!handle) {
-        if (!living) python_drop_thread();
+        if (!living) left_by_all();
         discard(self);
         return NULL;
     }
@@ -208,12 +191,13 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 void fmi2FreeInstance(fmi2Component component) {
     Instance *self = enter(component, __func__, ANY_MODE | LOST);
     if (!self) return;
-    Slot *slot = self->slot;
+    Surroundings host = self->host;
     states_free(self);
     slave.FreeInstance(self->slave);
-    handle_free(slot);
+    handle_free(&instances, self->slot);
     discard(self);
-    if (--living == 0) python_drop_thread();
+    surroundings_leave(&host);
+    if (--living == 0) left_by_all();
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String names[]) {
@@ -239,7 +223,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean tolerance_de
     if (!self) return fmi2Error;
     if (!stop_defined) stop = HUGE_VAL;
     if (!isfinite(start) || !(stop >= start)) {
-        log_line(&self->log, fmi2Error, "%s: expected a finite start time and a later stop time, received %g and %g",
+        log_line(&self->log, fmi2Error, "%s: expected a finite start time and no stop time before it, received %g and %g",
                  __func__, start, stop);
         return leave(self, fmi2Error);
     }

@@ -54,6 +54,18 @@ static long milliseconds(void) {
     return now.tv_sec * 1000L + now.tv_nsec / 1000000L;
 }
 
+/* Wait for the process to end, and end it at the deadline. */
+static void end(pid_t child, long deadline) {
+    for (;;) {
+        pid_t ended = waitpid(child, NULL, WNOHANG);
+        if (ended > 0 || (ended < 0 && errno != EINTR)) return;
+        if (milliseconds() >= deadline) break;
+        nanosleep(&(struct timespec){.tv_nsec = 2000000}, NULL);
+    }
+    kill(child, SIGKILL);
+    while (waitpid(child, NULL, 0) < 0 && errno == EINTR) continue;
+}
+
 /* Run the interpreter and return how many bytes it printed, or -1. The host's streams and signals stay its own. */
 static ssize_t ask(const char *executable, char *answer, size_t size) {
     int ends[2];
@@ -92,10 +104,7 @@ static ssize_t ask(const char *executable, char *answer, size_t size) {
         got += more;
     }
     close(ends[0]);
-    if (running) {
-        if (got < 0) kill(child, SIGKILL);
-        while (waitpid(child, NULL, 0) < 0 && errno == EINTR) continue;
-    }
+    if (running) end(child, got < 0 ? 0 : deadline);
     answer[got < 0 ? 0 : got] = '\0';
     return got;
 }
@@ -161,16 +170,17 @@ bool candidate_from_build(Candidate *candidate, const Description *description, 
 bool candidate_from_system(Candidate *candidate, Reasons *reasons) {
     const char *path = getenv("PATH");
     char folders[PATH_MAX], *rest = folders;
-    char tried[PATH_MAX] = "";
+    char tried[2 * PATH_MAX] = ":"; /* each between two colons */
     snprintf(folders, sizeof folders, "%s", path ? path : "/usr/local/bin:/usr/bin");
     for (const char *folder; (folder = strsep(&rest, ":"));) {
-        char executable[PATH_MAX + 16];
+        char executable[PATH_MAX + 16], listed[PATH_MAX + 18];
         if (*folder != '/') continue;
         snprintf(executable, sizeof executable, "%s/python3", folder);
-        if (access(executable, X_OK) != 0 || strstr(tried, executable)) continue;
+        snprintf(listed, sizeof listed, ":%s:", executable);
+        if (access(executable, X_OK) != 0 || strstr(tried, listed)) continue;
         if (probe(candidate, executable, reasons)) return true;
-        strncat(tried, executable, sizeof tried - strlen(tried) - 1);
+        strncat(tried, listed + 1, sizeof tried - strlen(tried) - 1);
     }
-    if (!*tried) add_reason(reasons, "the system has no python3");
+    if (!tried[1]) add_reason(reasons, "the system has no python3");
     return false;
 }

@@ -76,6 +76,11 @@ void log_from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2S
     Log *log = environment;
     if (status > fmi2Fatal) status = fmi2Error;
     if (status > log->worst) log->worst = status;
+    if (log->overheard) {
+        snprintf(log->overheard, OVERHEARD_SIZE, "%s", message ? message : "");
+        one_line(log->overheard);
+        return;
+    }
     send(log, status, CATEGORIES[status], message ? message : "");
 }
 

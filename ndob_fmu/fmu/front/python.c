@@ -16,18 +16,25 @@
 #include <string.h>
 #include <wchar.h>
 
-/* One lock for all the fronts of the process, each of which may be the one to start Python: the loader binds a unique
- * symbol to the same memory in every library that defines it. */
-__asm__(".pushsection .bss.ndob_fmu_python_lock,\"aw\",@nobits\n"
+/* One for all the fronts of the process, each of which may be the one to start Python: the loader binds a unique symbol
+ * to the same memory in every library that defines it. There are few keys in a process, and a front for each folder that
+ * an FMU was unpacked to. */
+typedef struct {
+    pthread_mutex_t lock;
+    pthread_key_t kept_state;
+    bool has_key, started_by_us;
+} Shared;
+__asm__(".pushsection .bss.ndob_fmu_python,\"aw\",@nobits\n"
         ".balign 64\n"
-        ".globl ndob_fmu_python_lock\n"
-        ".type ndob_fmu_python_lock, @gnu_unique_object\n"
-        ".size ndob_fmu_python_lock, 64\n"
-        "ndob_fmu_python_lock:\n"
+        ".globl ndob_fmu_python\n"
+        ".type ndob_fmu_python, @gnu_unique_object\n"
+        ".size ndob_fmu_python, 64\n"
+        "ndob_fmu_python:\n"
         ".zero 64\n"
         ".popsection\n");
-extern pthread_mutex_t ndob_fmu_python_lock __attribute__((visibility("default")));
-_Static_assert(sizeof(pthread_mutex_t) <= 64, "the lock has to fit");
+extern Shared ndob_fmu_python __attribute__((visibility("default")));
+_Static_assert(sizeof(Shared) <= 64, "it has to fit");
+#define shared ndob_fmu_python
 
 /* What is called of Python; each has been there since 3.4 at least. */
 typedef struct PyObject PyObject;
@@ -44,7 +51,11 @@ typedef struct PyObject PyObject;
     F(void, PyThreadState_DeleteCurrent, (void)) \
     F(PyObject *, PyImport_ImportModule, (const char *)) \
     F(void, PyErr_Fetch, (PyObject **, PyObject **, PyObject **)) \
+    F(void, PyErr_Restore, (PyObject *, PyObject *, PyObject *)) \
     F(void, PyErr_Clear, (void)) \
+    F(int, PyErr_CheckSignals, (void)) \
+    F(int, Py_AddPendingCall, (int (*)(void *), void *)) \
+    F(PyObject *, PyObject_CallMethod, (PyObject *, const char *, const char *, ...)) \
     F(PyObject *, PyObject_Str, (PyObject *)) \
     F(const char *, PyUnicode_AsUTF8AndSize, (PyObject *, ssize_t *)) \
     F(PyObject *, PyUnicode_DecodeFSDefault, (const char *)) \
@@ -63,7 +74,6 @@ static struct {
 } py;
 
 static _Atomic bool ready;
-static pthread_key_t kept_state;
 
 static bool symbols(void *library, Reasons *reasons) {
 #define F(result, name, arguments) \
@@ -167,7 +177,8 @@ static bool import_numpy(const char *packages, Reasons *reasons) {
     py.PyErr_Fetch(&type, &value, &trace);
     PyObject *text = value ? py.PyObject_Str(value) : NULL;
     const char *message = text ? py.PyUnicode_AsUTF8AndSize(text, NULL) : NULL;
-    add_reason(reasons, "the process's Python %.8s cannot import NumPy (%.200s)", py.Py_GetVersion(),
+    int version = (int)strcspn(py.Py_GetVersion(), " ");
+    add_reason(reasons, "the process's Python %.*s cannot import NumPy (%.200s)", version, py.Py_GetVersion(),
                message ? message : "no reason given");
     if (text) py.Py_DecRef(text);
     if (type) py.Py_DecRef(type);
@@ -197,13 +208,14 @@ static bool use(void *library, const Candidate *candidate, Reasons *reasons) {
     if (!symbols(library, reasons)) return false;
     if (!py.Py_IsInitialized()) {
         if (!initialize(library, candidate, reasons)) return false;
+        shared.started_by_us = true;
         bool good = import_numpy(candidate->packages, reasons);
         py.PyEval_SaveThread();
         return good;
     }
     int minor = 0;
     if (sscanf(py.Py_GetVersion(), "3.%d", &minor) != 1 || minor < OLDEST_MINOR)
-        return add_reason(reasons, "the process's Python is %.8s", py.Py_GetVersion()), false;
+        return add_reason(reasons, "the process's Python is 3.%d", minor), false;
     int state = py.PyGILState_Ensure();
     bool good = import_numpy("", reasons);
     py.PyGILState_Release(state);
@@ -269,12 +281,13 @@ bool python_start(const Description *description, char *reason, size_t size, cha
     *reason = *warning = '\0';
     if (!ready) {
         void *restore, *state = gil_released(&restore);
-        pthread_mutex_lock(&ndob_fmu_python_lock);
-        if (!ready && pthread_key_create(&kept_state, delete_state) == 0) {
-            if (find(description, &reasons, warning, warning_size)) ready = true;
-            else pthread_key_delete(kept_state);
+        pthread_mutex_lock(&shared.lock);
+        if (!ready && find(description, &reasons, warning, warning_size)) {
+            if (!shared.has_key) shared.has_key = pthread_key_create(&shared.kept_state, delete_state) == 0;
+            if (!shared.has_key) add_reason(&reasons, "the process has no key for thread-specific data left");
+            ready = shared.has_key;
         }
-        pthread_mutex_unlock(&ndob_fmu_python_lock);
+        pthread_mutex_unlock(&shared.lock);
         if (state) ((void (*)(void *))restore)(state);
     }
     if (!ready) return false;
@@ -282,35 +295,62 @@ bool python_start(const Description *description, char *reason, size_t size, cha
     return true;
 }
 
+bool python_is_the_hosts(void) { return py.Py_IsInitialized && py.Py_IsInitialized() && !shared.started_by_us; }
+
 bool python_alive(void) { return ready && py.Py_IsInitialized() && !(py.is_finalizing && py.is_finalizing()); }
 
 void python_keep_thread(void) {
     if (py.PyGILState_GetThisThreadState()) return; /* the host's, or one that is kept already */
     py.PyGILState_Ensure();
-    pthread_setspecific(kept_state, py.PyEval_SaveThread());
+    pthread_setspecific(shared.kept_state, py.PyEval_SaveThread());
 }
 
 void python_drop_thread(void) {
-    void *state = ready ? pthread_getspecific(kept_state) : NULL;
+    void *state = ready ? pthread_getspecific(shared.kept_state) : NULL;
     if (!state || !python_alive() || py.PyGILState_Check()) return;
-    pthread_setspecific(kept_state, NULL);
+    pthread_setspecific(shared.kept_state, NULL);
     /* Counted down, not deleted: the host may have entered Python with it too. */
     py.PyEval_RestoreThread(state);
     py.PyGILState_Release(1 /* PyGILState_UNLOCKED */);
 }
 
-void python_forget_path(const char *folder) {
+void python_forget_path(const char *folder, bool reused) {
     int state = py.PyGILState_Ensure();
     PyObject *path = py.PySys_GetObject("path"), *name = py.PyUnicode_DecodeFSDefault(folder);
     ssize_t index = path && name ? py.PySequence_Index(path, name) : -1;
     if (index >= 0) py.PySequence_DelItem(path, index);
     if (name) py.Py_DecRef(name);
+    if (reused) { /* Python would look for the next folder's files in this one's listing */
+        PyObject *importlib = py.PyImport_ImportModule("importlib");
+        PyObject *done = importlib ? py.PyObject_CallMethod(importlib, "invalidate_caches", NULL) : NULL;
+        if (done) py.Py_DecRef(done);
+        if (importlib) py.Py_DecRef(importlib);
+    }
     py.PyErr_Clear();
     py.PyGILState_Release(state);
 }
 
-void python_leave(void) {
-    /* A thread that ends after this library is gone must not come back to it. */
-    if (ready) pthread_key_delete(kept_state);
-    ready = false;
+static PyObject *taken[3]; /* type, value and trace; with the GIL */
+
+void python_take_pending(void) {
+    if (!python_alive()) return;
+    int state = py.PyGILState_Ensure();
+    if (py.PyErr_CheckSignals() != 0 && !taken[0]) py.PyErr_Fetch(&taken[0], &taken[1], &taken[2]);
+    py.PyErr_Clear();
+    py.PyGILState_Release(state);
 }
+
+static int raise_taken(void *unused) {
+    (void)unused;
+    if (!taken[0]) return 0;
+    py.PyErr_Restore(taken[0], taken[1], taken[2]);
+    taken[0] = taken[1] = taken[2] = NULL;
+    return -1;
+}
+
+/* By Python's main thread when it runs the host's code again. */
+void python_raise_taken(void) {
+    if (taken[0] && python_alive()) py.Py_AddPendingCall(raise_taken, NULL);
+}
+
+void python_leave(void) { ready = false; }

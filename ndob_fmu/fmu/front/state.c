@@ -3,15 +3,19 @@
 #include "front.h"
 
 #include <math.h>
+#include <pthread.h>
 #include <stdlib.h>
 #include <string.h>
 
-typedef struct {
+/* Two threads may come with one state, on instances of their own; it is gone when the last is done with it. */
+struct State {
     Slot *slot;
     Instance *owner;
+    State *next, **place; /* in the owner's list, and the pointer to this one there */
+    unsigned users; /* the host counts as one until it frees the state */
     fmi2FMUstate slave;
     Progress progress;
-} State;
+};
 
 typedef struct {
     char magic[8];
@@ -23,6 +27,7 @@ typedef struct {
 
 static const char MAGIC[8] = "NDOBST1";
 static Handles states;
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of users, owners and their lists; not held in the slave */
 
 static uint64_t hashed(const void *data, size_t size, uint64_t hash) {
     for (const unsigned char *byte = data; size; size--, byte++) hash = (hash ^ *byte) * 0x100000001b3u; /* FNV-1a */
@@ -38,12 +43,41 @@ static uint64_t content_hash(const Progress *progress, const void *bytes, size_t
     return hashed(bytes, size, hashed(progress, sizeof *progress, HASH_START));
 }
 
-static State *state_of(Instance *self, const char *function, fmi2FMUstate handle) {
+/* Return the state behind the handle, in use until it is dropped; NULL, with a message, if it is none. */
+static State *taken(Instance *self, const char *function, fmi2FMUstate handle) {
+    pthread_mutex_lock(&lock);
     Slot *slot = handle_slot(&states, handle);
-    if (slot) return slot->object;
-    log_line(&self->log, fmi2Error, "%s: expected an FMU state that was got from this FMU and not freed, received %s",
-             function, handle ? "something else" : "NULL");
-    return NULL;
+    State *state = slot ? slot->object : NULL;
+    if (state) state->users++;
+    pthread_mutex_unlock(&lock);
+    if (!state)
+        log_line(&self->log, fmi2Error,
+                 "%s: expected an FMU state that was got from this FMU and not freed, received %s", function,
+                 handle ? "something else" : "NULL");
+    return state;
+}
+
+static void drop(Instance *self, State *state) {
+    pthread_mutex_lock(&lock);
+    bool last = --state->users == 0;
+    pthread_mutex_unlock(&lock);
+    if (!last) return;
+    slave.FreeFMUstate(self->slave, &state->slave);
+    free(state);
+}
+
+/* With the lock, as the next. */
+static void own(State *state) {
+    state->next = state->owner->states;
+    state->place = &state->owner->states;
+    if (state->next) state->next->place = &state->next;
+    *state->place = state;
+}
+
+
+static void disown(State *state) {
+    *state->place = state->next;
+    if (state->next) state->next->place = state->place;
 }
 
 static bool given(Instance *self, const char *function, const void *place) {
@@ -52,44 +86,45 @@ static bool given(Instance *self, const char *function, const void *place) {
     return false;
 }
 
-static void state_free(Instance *self, State *state) {
-    slave.FreeFMUstate(self->slave, &state->slave);
-    handle_free(state->slot);
-    free(state);
-}
-
 void states_free(Instance *self) {
-    for (size_t c = 0; c < sizeof states.chunks / sizeof *states.chunks; c++) {
-        Slot *chunk = atomic_load(&states.chunks[c]);
-        for (size_t i = 0; chunk && i < SLOTS_PER_CHUNK; i++) {
-            State *state = atomic_load(&chunk[i].handle) ? chunk[i].object : NULL;
-            if (state && state->owner == self) state_free(self, state);
+    for (;;) {
+        pthread_mutex_lock(&lock);
+        State *state = self->states;
+        if (state) {
+            disown(state);
+            handle_free(&states, state->slot);
         }
+        pthread_mutex_unlock(&lock);
+        if (!state) return;
+        drop(self, state);
     }
 }
 
 /* Give the host a handle of a slave's state, in place of the one that `handle` may hold already. */
 static bool keep(Instance *self, fmi2FMUstate *handle, fmi2FMUstate made, Progress progress) {
-    Slot *before = handle_slot(&states, *handle);
-    State *state = before ? before->object : calloc(1, sizeof *state);
-    if (state && before) slave.FreeFMUstate(self->slave, &state->slave);
-    if (state && !before) {
-        state->owner = self;
-        *handle = handle_new(&states, state);
+    State *state = calloc(1, sizeof *state), *before = NULL;
+    if (state) {
+        *state = (State){.owner = self, .users = 1, .slave = made, .progress = progress};
+        pthread_mutex_lock(&lock);
         state->slot = handle_slot(&states, *handle);
-        if (!state->slot) {
-            free(state);
-            state = NULL;
+        if (state->slot) {
+            before = state->slot->object;
+            disown(before);
+            state->slot->object = state;
+        } else {
+            void *name = handle_new(&states, state);
+            if (name) *handle = name;
+            state->slot = name ? handle_slot(&states, name) : NULL;
         }
+        if (state->slot) own(state);
+        pthread_mutex_unlock(&lock);
     }
-    if (!state) {
-        log_line(&self->log, fmi2Error, "expected memory for an FMU state, received none");
-        slave.FreeFMUstate(self->slave, &made);
-        return false;
-    }
-    state->slave = made;
-    state->progress = progress;
-    return true;
+    if (before) drop(self, before);
+    if (state && state->slot) return true;
+    free(state);
+    log_line(&self->log, fmi2Error, "expected memory for an FMU state, received none");
+    slave.FreeFMUstate(self->slave, &made);
+    return false;
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *handle) {
@@ -105,10 +140,11 @@ fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *handle) {
 fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate handle) {
     Instance *self = enter(component, __func__, ANY_MODE);
     if (!self) return fmi2Error;
-    State *state = state_of(self, __func__, handle);
+    State *state = taken(self, __func__, handle);
     if (!state) return leave(self, fmi2Error);
     fmi2Status status = judged(self, slave.SetFMUstate(self->slave, state->slave));
     if (status < fmi2Discard) self->progress = state->progress;
+    drop(self, state);
     return leave(self, status);
 }
 
@@ -116,9 +152,17 @@ fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *handle) {
     Instance *self = enter(component, __func__, ANY_MODE);
     if (!self) return fmi2Error;
     if (!handle || !*handle) return leave(self, fmi2OK);
-    State *state = state_of(self, __func__, *handle);
+    State *state = taken(self, __func__, *handle);
     if (!state) return leave(self, fmi2Error);
-    state_free(self, state);
+    pthread_mutex_lock(&lock);
+    bool kept = state->slot->object == state; /* no other thread has freed or overwritten it meanwhile */
+    if (kept) {
+        disown(state);
+        handle_free(&states, state->slot);
+    }
+    pthread_mutex_unlock(&lock);
+    if (kept) drop(self, state);
+    drop(self, state);
     *handle = NULL;
     return leave(self, judged(self, fmi2OK));
 }
@@ -130,26 +174,23 @@ static fmi2Status sizes(Instance *self, const State *state, size_t *size) {
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate handle, size_t *size) {
     Instance *self = enter(component, __func__, ANY_MODE);
     if (!self) return fmi2Error;
-    State *state = given(self, __func__, size) ? state_of(self, __func__, handle) : NULL;
+    State *state = given(self, __func__, size) ? taken(self, __func__, handle) : NULL;
     if (!state) return leave(self, fmi2Error);
     size_t inner = 0;
     fmi2Status status = sizes(self, state, &inner);
     if (status < fmi2Discard) *size = sizeof(Head) + inner;
+    drop(self, state);
     return leave(self, status);
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate handle, fmi2Byte bytes[], size_t size) {
-    Instance *self = enter(component, __func__, ANY_MODE);
-    if (!self) return fmi2Error;
-    State *state = given(self, __func__, bytes) ? state_of(self, __func__, handle) : NULL;
-    if (!state) return leave(self, fmi2Error);
+static fmi2Status serialize(Instance *self, const State *state, fmi2Byte bytes[], size_t size) {
     size_t inner = 0;
     fmi2Status status = sizes(self, state, &inner);
-    if (status >= fmi2Discard) return leave(self, status);
+    if (status >= fmi2Discard) return status;
     if (size < sizeof(Head) + inner) {
-        log_line(&self->log, fmi2Error, "%s: expected room for %zu bytes, received %zu", __func__, sizeof(Head) + inner,
-                 size);
-        return leave(self, fmi2Error);
+        log_line(&self->log, fmi2Error, "fmi2SerializeFMUstate: expected room for %zu bytes, received %zu",
+                 sizeof(Head) + inner, size);
+        return fmi2Error;
     }
     char *content = bytes + sizeof(Head);
     status = judged(self, slave.SerializeFMUstate(self->slave, state->slave, content, inner));
@@ -157,6 +198,16 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate handle, f
     head.hash = content_hash(&head.progress, content, inner);
     memcpy(head.magic, MAGIC, sizeof MAGIC);
     memcpy(bytes, &head, sizeof head);
+    return status;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate handle, fmi2Byte bytes[], size_t size) {
+    Instance *self = enter(component, __func__, ANY_MODE);
+    if (!self) return fmi2Error;
+    State *state = given(self, __func__, bytes) ? taken(self, __func__, handle) : NULL;
+    if (!state) return leave(self, fmi2Error);
+    fmi2Status status = serialize(self, state, bytes, size);
+    drop(self, state);
     return leave(self, status);
 }
 
@@ -167,6 +218,11 @@ static const char *fault(const Instance *self, const Head *head, const fmi2Byte 
     if (head->size > size - sizeof *head) return "a state that was cut off";
     if (head->hash != content_hash(&head->progress, bytes + sizeof *head, head->size))
         return "a state that was damaged";
+    const Progress *progress = &head->progress;
+    bool mode = progress->mode == INSTANTIATED || progress->mode == INITIALIZATION || progress->mode == STEPPING
+                || progress->mode == TERMINATED;
+    if (!mode || progress->has_experiment > 1 || !isfinite(progress->last_time))
+        return "a state that no instance can have";
     return NULL;
 }
 

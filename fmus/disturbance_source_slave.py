@@ -1,0 +1,35 @@
+"""`DisturbanceSource`: a disturbance as a function of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from fmus.slave_base import Slave
+from ndob_fmu.runtime.component_interface import DESCRIPTIONS, EXPERIMENT, source_variables
+from ndob_fmu.runtime.disturbance_source import Signal, disturbance_source
+
+
+class DisturbanceSourceSlave(Slave):
+    """Shows the disturbance at the end of each step; it remembers the time only."""
+
+    state: float
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(source_variables(), EXPERIMENT, DESCRIPTIONS["source"], **kwargs)
+
+    def start(self, start_time: float) -> None:
+        """Make the signal from the parameters."""
+        names = ("kind", "amplitude", "frequency", "start_time", "seed", "profile", "interpolation")
+        kind, *options = self.values(f"disturbance.{name}" for name in names)
+        self.signal: Signal = disturbance_source(kind, **dict(zip(names[1:], options, strict=True)))
+        self.state = start_time
+
+    def show(self) -> Iterable[Any]:
+        """Return the disturbance at the start."""
+        return [self.signal(self.state)]
+
+    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+        """Return the disturbance at the end of the step."""
+        self.state = t + step_size
+        return [self.signal(self.state)]

@@ -1,0 +1,28 @@
+"""`TorsionSpring`: pulls two angles together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from fmus.slave_base import Slave
+from ndob_fmu.runtime.component_interface import DESCRIPTIONS, EXPERIMENT, spring_variables
+from ndob_fmu.runtime.torsion_spring import spring_torques
+
+
+class TorsionSpringSlave(Slave):
+    """Shows the torques for the angles that a step begins with; it remembers nothing."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(spring_variables(), EXPERIMENT, DESCRIPTIONS["spring"], **kwargs)
+
+    def start(self, start_time: float) -> None:
+        """There is nothing to make."""
+
+    def show(self) -> Iterable[Any]:
+        """Return the torques for the angles set so far."""
+        return spring_torques(*self.values(("stiffness", "angle_a", "angle_b")))
+
+    def advance(self, t: float, step_size: float) -> Iterable[Any]:
+        """Return the torques for the angles at the start of the step."""
+        return self.show()

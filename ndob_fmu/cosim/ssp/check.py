@@ -1,0 +1,153 @@
+"""Checking a package without running it, step by step, as far as each step allows the next."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+from zipfile import ZipFile
+
+from ndob_fmu.cosim.archive import open_archive
+from ndob_fmu.cosim.loops import algebraic_loops
+from ndob_fmu.cosim.picture import write_picture
+from ndob_fmu.cosim.ssp.experiment import read_experiment
+from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
+from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
+from ndob_fmu.cosim.system import System
+from ndob_fmu.cosim.wiring import require_drivers
+from ndob_fmu.errors import NdobError, UsageError
+
+_Found = TypeVar("_Found")
+_MARKS = {True: "ok  ", False: "FAIL", None: "    "}
+
+
+@dataclass(frozen=True)
+class SystemCheck:
+    """One check; passed: None where a failure before it leaves nothing to check; found: what is there, or the error."""
+
+    name: str
+    passed: bool | None
+    found: str
+
+
+@dataclass(frozen=True)
+class SystemReport:
+    """All checks of a package, in their order."""
+
+    path: Path
+    rows: tuple[SystemCheck, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the package can be run."""
+        return all(row.passed for row in self.rows)
+
+    def __str__(self) -> str:
+        failed = sum(row.passed is False for row in self.rows)
+        verdict = f"{failed} of {len(self.rows)} checks FAIL" if failed else f"all {len(self.rows)} checks pass"
+        width = max(len(row.name) for row in self.rows)
+        lines = [f"  {_MARKS[row.passed]}  {row.name:<{width}}  {row.found}" for row in self.rows]
+        return "\n".join([f"{self.path}: {verdict}", *lines])
+
+    def to_json(self) -> str:
+        """Return the report as JSON."""
+        report: dict[str, Any] = {"system": str(self.path), "passed": self.passed}
+        return json.dumps({**report, "rows": [asdict(row) for row in self.rows]}, indent=2, ensure_ascii=False)
+
+
+def check_ssp(path: str | Path, *, picture: str | Path | None = None) -> SystemReport:
+    """Check the files by their schemas, the FMUs, the connections with types and units, and that all inputs are driven.
+
+    picture: where to draw the system (.svg), if it passes. Raises UsageError if there is no such package
+    or the picture cannot be written. Nothing is left of what was unpacked.
+    """
+    path = Path(path)
+    checks = _Checks()
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder:
+        system = None
+        if checks.run("archive", lambda: _archive(path)):
+            with open_archive(path) as archive:
+                system = _system(checks, Package(path, archive), archive, folder)
+        report = SystemReport(path, tuple(checks.rows))
+        if report.passed and system is not None and picture is not None:
+            write_picture(picture, system, path.stem)
+    return report
+
+
+class _Checks:
+    """The rows so far; after the first failure nothing more is tried, since it would rest on that."""
+
+    def __init__(self) -> None:
+        self.rows: list[SystemCheck] = []
+
+    def run(self, name: str, check: Callable[[], tuple[_Found, str]]) -> _Found | None:
+        """Run one check, which returns what the next ones need and a line about it; None if it fails."""
+        if any(not row.passed for row in self.rows):
+            self.rows.append(SystemCheck(name, None, "not checked"))
+            return None
+        try:
+            found, text = check()
+        except UsageError as error:
+            if not self.rows:  # there is no package to check
+                raise
+            self.rows.append(SystemCheck(name, False, str(error)))
+            return None
+        except NdobError as error:
+            self.rows.append(SystemCheck(name, False, str(error)))
+            return None
+        self.rows.append(SystemCheck(name, True, text))
+        return found
+
+
+def _archive(path: Path) -> tuple[bool, str]:
+    with open_archive(path) as archive:
+        damaged = archive.testzip()
+        if damaged is not None:
+            raise NdobError.report(str(path), expected="entries that can be read", received=f"a damaged {damaged}")
+        return True, f"{len(archive.namelist())} entries, none outside its folder"
+
+
+def _system(checks: _Checks, package: Package, archive: ZipFile, folder: str) -> System | None:
+    def schemas() -> tuple[Any, str]:
+        root = package.description()
+        names = [name for name in archive.namelist() if Path(name).suffix in ROOTS_BY_SUFFIX]
+        for name in names:
+            package.file(name, ROOTS_BY_SUFFIX[Path(name).suffix])
+        return root, f"{len(names)} files that follow SSP 1.0"
+
+    root = checks.run("files", schemas)
+    parts = checks.run("components", lambda: _with(read_components(package, root, archive, folder)))
+
+    def connected() -> tuple[System, str]:
+        assert parts is not None  # else this is not run
+        step_size = read_experiment(package.where, root).step_size
+        system = read_system(package, root, parts, step_size)
+        scaled = sum((c.factor, c.offset) != (1.0, 0.0) for c in system.connections)
+        ends = f", {len(system.inputs)} inputs and {len(system.outputs)} outputs at the boundary"
+        return system, f"{len(system.connections)} connections, {scaled} of them scaled or converted{ends}"
+
+    system = checks.run("connections", connected)
+    checks.run("inputs", lambda: _driven(system))
+    checks.run("algebraic loops", lambda: _loops(system))
+    return system
+
+
+def _with(parts: dict[str, Any]) -> tuple[dict[str, Any], str]:
+    return parts, f"{len(parts)} from {len({part.path for part in parts.values()})} FMUs: {', '.join(parts)}"
+
+
+def _driven(system: System | None) -> tuple[None, str]:
+    assert system is not None
+    connected = {connection.target for connection in system.connections}
+    behind = {link.port for links in system.inputs.values() for link in links}
+    require_drivers(system, connected | behind | set(system.start_values))
+    return None, "each is driven once"
+
+
+def _loops(system: System | None) -> tuple[None, str]:
+    assert system is not None
+    loops = [loop for loop in algebraic_loops(system, initial=True) if loop.declared]
+    return None, "; ".join(map(str, loops)) or "none that the FMUs declare"

@@ -1,0 +1,160 @@
+"""Reading a packaged system description (.ssp, SSP 1.0) as a System.
+
+fmpy's schemas check the files. Neither fmpy.ssp nor pyssp-standard reads them: the one passes over transformations,
+units, mappings inside a description and parameters' units, the other over transformations and nested systems.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+from zipfile import ZipFile
+
+from ndob_fmu.cosim.archive import open_archive
+from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.ssp.experiment import read_experiment, read_step_ratios
+from ndob_fmu.cosim.ssp.parameters import start_values
+from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element, child, local_name, parse
+from ndob_fmu.cosim.ssp.structure import Structure, components, read_structure
+from ndob_fmu.cosim.ssp.support import check_supported
+from ndob_fmu.cosim.ssp.units import Units, read_units
+from ndob_fmu.cosim.system import Port, System
+from ndob_fmu.errors import CouplingError
+
+
+@contextmanager
+def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple[System, Experiment]]:
+    """Give the system in the package and its default experiment; its FMUs lie in a temporary folder until the end.
+
+    step_size: the communication step (s), by default that of the experiment, of which the components' own steps are
+    multiples. Components of nested systems are named ``system.component``.
+
+    Raises UsageError if there is no such file, CouplingError if it is damaged, is incomplete, contradicts itself or
+    uses a part of SSP that would not be honoured.
+    """
+    path = Path(path)
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder, open_archive(path) as archive:
+        package = Package(path, archive)
+        root = package.description()
+        experiment = read_experiment(package.where, root)
+        parts = read_components(package, root, archive, folder)
+        yield read_system(package, root, parts, experiment.step_size if step_size is None else step_size), experiment
+
+
+class Package:
+    """The files in an opened package, each parsed, checked against its schema and for what is not supported."""
+
+    def __init__(self, path: Path, archive: ZipFile) -> None:
+        self.path = path
+        self.where = f"{path}, {SSD_NAME}"
+        self._archive = archive
+        self._parsed: dict[str, Element] = {}
+
+    def description(self) -> Element:
+        """Return the root of the package's SystemStructure.ssd."""
+        if SSD_NAME not in self._archive.namelist():
+            raise CouplingError.report(str(self.path), expected=f"a package with {SSD_NAME}", received="one without it")
+        return self.file(SSD_NAME, "SystemStructureDescription")
+
+    def file(self, entry: str, root_name: str) -> Element:
+        """Return the root of one file of the package."""
+        if entry not in self._parsed:
+            where = f"{self.path}, {entry}"
+            root = parse(where, self._archive.read(entry), root_name)
+            check_supported(where, root)
+            self._parsed[entry] = root
+        return self._parsed[entry]
+
+    def source(self, element: Element) -> Element:
+        """Return the root of what a binding, a mapping or a signal dictionary names as its source, or has inside."""
+        kind = local_name(element)
+        root_name = {"ParameterBinding": "ParameterSet"}.get(kind, kind)
+        uri = element.get("source")
+        if uri is not None:
+            return self.file(self.entry(f"source of a {kind}", uri), root_name)
+        inside = [part for part in element.iter("*") if local_name(part) == root_name and part is not element]
+        if not inside:
+            raise CouplingError.report(
+                f"{self.where}, {kind}", expected=f"a source or a {root_name}", received="neither"
+            )
+        return inside[0]
+
+    def entry(self, where: str, uri: str) -> str:
+        """Return the name of the package's file that a URI means, which is relative to the description."""
+        parts = urlsplit(uri)
+        name = unquote(parts.path).removeprefix("./")
+        if parts.scheme or parts.netloc or name.startswith("/") or ".." in name.split("/"):
+            raise CouplingError.report(f"{self.path}, {where}", expected="a file in the package", received=repr(uri))
+        if name not in self._archive.namelist():
+            suffix = Path(name).suffix
+            there = [other for other in self._archive.namelist() if other.endswith(suffix)]
+            raise CouplingError.report(
+                f"{self.path}, {where}",
+                expected=f"{name} in the package",
+                received=", ".join(there) or f"no {suffix} file",
+            )
+        return name
+
+
+def read_components(package: Package, root: Element, archive: ZipFile, folder: str) -> dict[str, FmuComponent]:
+    """Unpack the FMUs of a description, each once, into a folder and return its components by their full names."""
+    fmus: dict[str, Path] = {}
+    parts: dict[str, FmuComponent] = {}
+    for name, element in components(child(root, "ssd:System")):
+        entry = package.entry(f"component {name}", element.get("source"))
+        if entry not in fmus:
+            fmus[entry] = Path(archive.extract(entry, folder))
+        if name in parts:
+            raise CouplingError.report(
+                f"{package.path}, component {name}", expected="a new name", received="one that is taken"
+            )
+        parts[name] = FmuComponent(fmus[entry], name)
+    return parts
+
+
+def read_system(package: Package, root: Element, parts: dict[str, FmuComponent], step_size: float | None) -> System:
+    """Return the system of a description whose components are these."""
+    top = child(root, "ssd:System")
+    bare = System(parts, step_ratios=read_step_ratios(package.where, top, step_size))
+
+    def dictionary(element: Element) -> tuple[Element, Units]:
+        found = package.source(element)
+        return found, read_units(found if element.get("source") else root)
+
+    structure = read_structure(package.where, top, bare.variable, read_units(root), dictionary)
+    _check_connectors(structure, bare)
+    starts, mapped = start_values(bare, structure, top, package.source)
+    inputs = structure.inputs()
+    behind = {link.port for links in inputs.values() for link in links}
+    inputs |= {
+        name: links
+        for name, links in mapped.items()
+        if name not in inputs and behind.isdisjoint(link.port for link in links)
+    }
+    return replace(
+        bare, connections=structure.connections(), start_values=starts, inputs=inputs, outputs=structure.outputs()
+    )
+
+
+def _check_connectors(structure: Structure, system: System) -> None:
+    for node, declared in structure.signals.items():
+        if node.owner not in structure.parts:
+            continue
+        variable = system.variable(Port(*node))
+        for attribute, actual, said in (
+            ("causality", variable.causality, declared.kind),
+            ("type", variable.type, declared.type),
+            ("unit", variable.unit, declared.unit.name),
+        ):
+            if actual and said and actual != said:
+                raise CouplingError.report(
+                    f"{structure.where}, connector {node}",
+                    expected=f"the {attribute} {actual} of the FMU",
+                    received=said,
+                    likely="the FMU was changed after the description was written",
+                )

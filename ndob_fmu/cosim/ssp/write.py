@@ -1,0 +1,280 @@
+"""Writing a System of FMUs as a package, in the form that libcosim, ecos, OMSimulator and fmpy read alike.
+
+That is: every connection from component to component, conversions of units written out as transformations, one
+parameter set per component with bare names, all of one name. Only what the system shows at its boundary goes beyond.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from urllib.parse import quote
+
+from ndob_fmu.cosim.component import Value, Variable
+from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.ssp import markup
+from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
+from ndob_fmu.cosim.ssp.pack import write_package
+from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
+from ndob_fmu.cosim.system import Link, Port, System
+from ndob_fmu.cosim.values import convert
+from ndob_fmu.cosim.wiring import require_drivers
+from ndob_fmu.errors import CouplingError, ModelError, UsageError
+from ndob_fmu.units import BaseUnit, base_unit
+
+_ASIS = (1.0, 0.0)
+
+
+def write_ssp(system: System, path: Path, experiment: Experiment, parameter_set: str, description: str) -> Path:
+    """Write the package; `System.write` documents arguments and errors."""
+    if path.suffix != ".ssp":
+        raise UsageError.report(str(path), expected="the path of an .ssp", received=repr(path.suffix))
+    files = describe(system, path.stem, experiment, parameter_set, description)
+    fmus = _fmus(system)
+    return write_package(path, files | {_entry(fmus, name): fmu.read_bytes() for name, fmu in fmus.items()})
+
+
+def describe(
+    system: System, name: str, experiment: Experiment, parameter_set: str, description: str
+) -> dict[str, bytes]:
+    """Return the XML files of the package by their names.
+
+    Raises CouplingError for a component that is no FMU, an input without driver, and a name at the boundary whose
+    variables start with values that contradict it; UsageError for step ratios without a step size.
+    """
+    exposed = {link.port for links in system.inputs.values() for link in links}
+    require_drivers(system, {*(c.target for c in system.connections), *system.start_values, *exposed})
+    return _Writer(system, name, parameter_set).files(experiment, description, exposed)
+
+
+def _fmus(system: System) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for name, component in system.components.items():
+        if not isinstance(component, FmuComponent):
+            received = type(component).__name__
+            raise CouplingError.report(f"component {name}", expected="an FMU", received=received)
+        found[name] = component.path
+    return found
+
+
+def _entry(fmus: Mapping[str, Path], name: str) -> str:
+    """Return the name that a component's FMU has in the package.
+
+    One that several components use lies there once for each, so that each can have start values of its own in it.
+    """
+    file = fmus[name].name
+    alone = sum(other.name == file for other in fmus.values()) == 1
+    return f"resources/{file}" if alone else f"resources/{name}/{file}"
+
+
+class _Writer:
+    """One description on its way to XML."""
+
+    def __init__(self, system: System, name: str, parameter_set: str) -> None:
+        self._system = system
+        self._name = name
+        self._set = parameter_set
+        self._files: dict[str, Element] = {}
+        self._units: dict[str, BaseUnit] = {}
+
+    def files(self, experiment: Experiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
+        """Return the texts of all files."""
+        system = self._system
+        fmus = _fmus(system)
+        prefixes = ("ssd", "ssc", "ssv", "ssm", *TOOLS)
+        root = markup.root("ssd:SystemStructureDescription", *prefixes, version="1.0", name=self._name)
+        if description:
+            root.set("description", description)
+        top = add(root, "ssd:System", name=self._name)
+        self._boundary(top)
+        elements = add(top, "ssd:Elements")
+        for name in fmus:
+            values = {
+                port.variable: value
+                for port, value in system.start_values.items()
+                if port.component == name and port not in exposed
+            }
+            self._component(elements, name, quote(_entry(fmus, name)), values, experiment.step_size)
+        self._connections(top)
+        if experiment.step_size is not None:
+            information = annotate(top, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
+            times = {
+                "stepSize": repr(experiment.step_size),
+                "absoluteTolerance": "0.0001",
+                "relativeTolerance": "0.0001",
+            }
+            add(information, "oms:FixedStepMaster", description="oms-ma", **times)
+        define_units(root, "ssd:Units", self._units)
+        _experiment(root, experiment)
+        return {name: text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
+
+    def _component(
+        self, elements: Element, name: str, source: str, values: Mapping[str, Value], step_size: float | None
+    ) -> None:
+        system = self._system
+        element = add(elements, "ssd:Component", name=name, source=source)
+        used = {port.variable for c in system.connections for port in c[:2] if port.component == name}
+        used |= {link.port.variable for link in system.outputs.values() if link.port.component == name}
+        used |= {
+            link.port.variable
+            for links in system.inputs.values()
+            for link in links
+            if link.port.component == name and not self._is_mapped(links)
+        }
+        variables = [v for v in system.components[name].variables if v.name in used]
+        self._connectors(element, [(v.name, v.causality, v) for v in variables])
+        if values:
+            set_of = {variable: (system.variable(Port(name, variable)), value) for variable, value in values.items()}
+            self._bind(element, self._parameter_set(f"{name}.ssv", set_of))
+        ratio = system.step_ratios.get(name, 1)
+        if ratio > 1:
+            if step_size is None:
+                raise UsageError.report(
+                    "step size", expected=f"a number of seconds, for the step ratio {ratio} of {name}", received="none"
+                )
+            annotate(element, "com.opensimulationplatform", "osp:StepSizeHint").set("value", repr(ratio * step_size))
+
+    def _boundary(self, top: Element) -> None:
+        """Write what the system shows: connectors, their start values, and mappings of shared parameters."""
+        system = self._system
+        kinds: list[tuple[str, str, Variable]] = []
+        plain: dict[str, tuple[Variable, Value]] = {}
+        shared: dict[str, tuple[Variable, Value]] = {}
+        for name, links in system.inputs.items():
+            variable, value = self._start(name, links)
+            if self._is_mapped(links):
+                shared[name] = (variable, value)
+                continue
+            inputs = all(system.variable(link.port).causality == "input" for link in links)
+            kinds.append((name, "input" if inputs else "parameter", variable))
+            plain[name] = (variable, value)
+        kinds += [(name, "output", self._seen(link)) for name, link in system.outputs.items()]
+        self._connectors(top, kinds)
+        if plain:
+            self._bind(top, self._parameter_set(f"{self._name}.boundary.ssv", plain))
+        if shared:
+            binding = self._bind(top, self._parameter_set(f"{self._name}.parameters.ssv", shared))
+            add(binding, "ssd:ParameterMapping", source=self._mapping(f"{self._name}.parameters.ssm", shared))
+
+    def _is_mapped(self, links: Iterable[Link]) -> bool:
+        """Whether a name at the boundary is one parameter for several: a mapping then says so, no connector."""
+        return all(self._system.variable(link.port).causality != "input" for link in links)
+
+    def _seen(self, link: Link) -> Variable:
+        variable = self._system.variable(link.port)
+        if link[1:] == _ASIS:
+            return variable
+        return Variable(variable.name, variable.causality, variable.type)
+
+    def _start(self, name: str, links: tuple[Link, ...]) -> tuple[Variable, Value]:
+        """Return a variable like what is at the boundary, and the value with which all behind it start."""
+        system, (first, *_) = self._system, links
+        given = system.start_values.get(first.port, system.variable(first.port).start)
+        if given is None:
+            raise CouplingError.report(f"input {name}", expected=f"a start value for {first.port}", received="none")
+        value = given if first[1:] == _ASIS else (float(given) - first.offset) / first.factor
+        for port, expected in system.starts(name, value).items():
+            actual = system.start_values.get(port, expected)
+            if convert(system.variable(port), actual, name) != expected and port != first.port:
+                raise CouplingError.report(
+                    f"start value of {port}", expected=f"{expected}, as {name} says", received=repr(actual)
+                )
+        return self._seen(first), value
+
+    def _mapping(self, file: str, shared: Iterable[str]) -> str:
+        root = markup.root("ssm:ParameterMapping", "ssm", "ssc", version="1.0")
+        for name in shared:
+            for link in self._system.inputs[name]:
+                entry = add(root, "ssm:MappingEntry", source=name, target=str(link.port))
+                _transform(entry, link.factor, link.offset)
+        self._files[file] = root
+        return file
+
+    def _connectors(self, element: Element, kinds: Iterable[tuple[str, str, Variable]]) -> None:
+        kinds = list(kinds)
+        connectors = add(element, "ssd:Connectors") if kinds else None
+        for name, kind, variable in kinds:
+            connector = add(connectors, "ssd:Connector", name=name, kind=kind)
+            typed = add(connector, f"ssc:{_written(variable)}")
+            if variable.type == "Real" and self._define(variable, self._units):
+                typed.set("unit", variable.unit)
+
+    def _parameter_set(self, file: str, values: Mapping[str, tuple[Variable, Value]]) -> str:
+        root = markup.root("ssv:ParameterSet", "ssv", "ssc", version="1.0", name=self._set)
+        parameters, units = add(root, "ssv:Parameters"), dict[str, BaseUnit]()
+        for name, (variable, value) in values.items():
+            typed = add(
+                add(parameters, "ssv:Parameter", name=name),
+                f"ssv:{_written(variable)}",
+                value=_literal(variable, value),
+            )
+            if variable.type == "Real" and self._define(variable, units):
+                typed.set("unit", variable.unit)
+        define_units(root, "ssv:Units", units)
+        self._files[file] = root
+        return file
+
+    def _bind(self, element: Element, file: str) -> Element:
+        bindings = element.find(tag("ssd:ParameterBindings"))
+        if bindings is None:
+            bindings = add(element, "ssd:ParameterBindings")
+        return add(bindings, "ssd:ParameterBinding", source=file)
+
+    def _connections(self, top: Element) -> None:
+        system = self._system
+        ends: list[tuple[dict[str, str], float, float]] = []
+        for name, links in system.inputs.items():
+            for port, factor, offset in () if self._is_mapped(links) else links:
+                ends.append(({"startConnector": name} | _port("end", port), factor, offset))
+        for source, target, factor, offset, _ in system.connections:
+            ends.append((_port("start", source) | _port("end", target), factor, offset))
+        for name, (port, factor, offset) in system.outputs.items():
+            ends.append((_port("start", port) | {"endConnector": name}, factor, offset))
+        connections = add(top, "ssd:Connections") if ends else None
+        for attributes, factor, offset in ends:
+            _transform(add(connections, "ssd:Connection", **attributes), factor, offset)
+
+    def _define(self, variable: Variable, units: dict[str, BaseUnit]) -> bool:
+        """Note the variable's unit; a unit that nobody can define is left out, and no tool converts it."""
+        if not variable.unit:
+            return False
+        meaning = variable.base_unit
+        if meaning is None:
+            try:
+                meaning = base_unit(variable.unit)
+            except ModelError:
+                return False
+        if meaning is not None:
+            units[variable.unit] = meaning
+        return meaning is not None
+
+
+def _written(variable: Variable) -> str:
+    """Return the type that goes into the file: libcosim gives up at an Enumeration there."""
+    return "Integer" if variable.type == "Enumeration" else variable.type
+
+
+def _literal(variable: Variable, value: Value) -> str:
+    if variable.type == "Boolean":
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _transform(element: Element, factor: float, offset: float) -> None:
+    """Write what a value becomes; it has the conversion of units in it, which not every tool would make."""
+    if (factor, offset) != _ASIS:
+        element.set("suppressUnitConversion", "true")
+        add(element, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+
+
+def _port(end: str, port: Port) -> dict[str, str]:
+    return {f"{end}Element": port.component, f"{end}Connector": port.variable}
+
+
+def _experiment(root: Element, experiment: Experiment) -> None:
+    times = {"startTime": experiment.start_time, "stopTime": experiment.stop_time}
+    element = add(root, "ssd:DefaultExperiment", **{k: f"{v!r}" for k, v in times.items() if v is not None})
+    if experiment.step_size is not None:
+        algorithm = annotate(element, "com.opensimulationplatform", "osp:Algorithm")
+        add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(experiment.step_size))

@@ -1,0 +1,70 @@
+/* What every call begins and ends with: whose it is and whether it may come now, and an environment to compute in. */
+#define _GNU_SOURCE
+#include "front.h"
+
+#include <string.h>
+
+Handles instances;
+
+/* The FMU computes with the numerics that it was tested with: hosts trap exceptions, which LAPACK raises on purpose, or
+ * flush small numbers to zero, which changes bits. And no interrupt may end the instance in the middle. */
+void surroundings_enter(Surroundings *host) {
+    fegetenv(&host->numerics);
+    fesetenv(FE_DFL_ENV);
+    interrupts_begin();
+}
+
+void surroundings_leave(const Surroundings *host) {
+    fesetenv(&host->numerics);
+    interrupts_end();
+}
+
+static const char *mode_name(Mode mode) {
+    return mode == INSTANTIATED     ? "instantiated"
+           : mode == INITIALIZATION ? "in initialization mode"
+           : mode == STEPPING       ? "in step mode"
+           : mode == TERMINATED     ? "terminated"
+                                    : "lost after a fatal error";
+}
+
+static void refuse(Instance *self, const char *function, unsigned modes) {
+    char allowed[128] = "";
+    for (unsigned mode = INSTANTIATED; mode <= TERMINATED; mode <<= 1)
+        if (modes & mode) {
+            if (*allowed) strcat(allowed, " or ");
+            strcat(allowed, mode_name(mode));
+        }
+    log_line(&self->log, fmi2Error, "%s: expected an instance that is %s, received one that is %s", function, allowed,
+             mode_name(self->progress.mode));
+}
+
+Instance *enter(fmi2Component component, const char *function, unsigned modes) {
+    Slot *slot = handle_slot(&instances, component);
+    if (!slot) return NULL; /* freed, or never one: nobody to tell */
+    if (atomic_flag_test_and_set(&slot->busy)) return NULL;
+    Instance *self = slot->object;
+    /* Since it was looked up the instance may have been freed, and another may have taken its slot. */
+    if (handle_slot(&instances, component) != slot || !self || !python_alive())
+        return atomic_flag_clear(&slot->busy), NULL;
+    self->log.worst = fmi2OK;
+    if (!(self->progress.mode & modes)) {
+        refuse(self, function, modes);
+        return atomic_flag_clear(&slot->busy), NULL;
+    }
+    surroundings_enter(&self->host);
+    python_keep_thread();
+    return self;
+}
+
+fmi2Status judged(Instance *self, fmi2Status status) {
+    if (self->log.worst > status) status = self->log.worst;
+    if (status >= fmi2Fatal) self->progress.mode = LOST;
+    return status;
+}
+
+fmi2Status leave(Instance *self, fmi2Status status) {
+    Surroundings host = self->host;
+    atomic_flag_clear(&self->slot->busy);
+    surroundings_leave(&host);
+    return status;
+}
