@@ -14,8 +14,9 @@ _HEAD = """# FMU reference
 
 <!-- Written by `python docs/fmu_reference.py build/fmus`; changes belong there or into the FMUs. -->
 
-Every variable of the two FMUs of the paper's example, as their model descriptions have them. The FMUs of your own model
-have the same ones under its names. What an FMU does at each call of a host is in [fmi_behaviour.md](fmi_behaviour.md).
+Every variable of the FMUs that `make build` makes, as their model descriptions have them. A plant and an observer of
+your own model have the same ones under its names. [fmi_behaviour.md](fmi_behaviour.md) says what an FMU does at each
+call of a host.
 """
 _KINDS = {"input": "Inputs", "output": "Outputs", "parameter": "Parameters"}
 
@@ -67,5 +68,5 @@ def _yes(flag: bool) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(sorted(Path(sys.argv[1]).glob("FlexibleJoint*.fmu"))), "utf-8")
+    PAGE.write_text(page(sorted(Path(sys.argv[1]).glob("*.fmu"))), "utf-8")
     print(PAGE)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ndob_fmu import plots
 from ndob_fmu.cosim import simulate
 from ndob_fmu.results import Recording, write_csv, write_json
-from ndob_fmu.run_folder import describe
+from ndob_fmu.run_folder import describe, draw
 
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 DISTURBANCE = "load_torque"
@@ -122,5 +122,6 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
         },
         label="error of d̂ [N·m]",
     )
+    draw(results, system)
     write_json(results / "summary.json", summary)
     return summary

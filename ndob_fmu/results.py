@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ndob_fmu import __version__
 from ndob_fmu.errors import UsageError
 
+SYSTEM_PICTURE = "system.svg"  # the name of the picture of the system in a folder of results
 _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
 
 

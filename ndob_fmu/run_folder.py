@@ -9,13 +9,14 @@ from typing import Any
 
 from ndob_fmu import plots
 from ndob_fmu.cosim import Recording, System, Value, open_system, simulate
+from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.cosim.system import Port
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.results import software_versions, write_csv, write_json
+from ndob_fmu.results import SYSTEM_PICTURE, software_versions, write_csv, write_json
 
 
 def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recording:
-    """Simulate, write result.csv, summary.json and signals.png and .svg into ``folder``, and return the recording.
+    """Simulate, write result.csv, summary.json, signals and system into ``folder``, and return the recording.
 
     settings: those of `simulate`. Raises what that raises, and UsageError if a file cannot be written.
     """
@@ -26,7 +27,14 @@ def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recordin
     summary = describe(system, recording, settings.get("start_values"))
     write_json(folder / "summary.json", {**summary, "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time})
     plots.plot_signals(folder / "signals.png", recording)
+    draw(folder, system)
     return recording
+
+
+def draw(folder: Path, system: System | str | Path) -> None:
+    """Write the picture of a system into a folder of results, where the report finds it."""
+    with open_system(system) as (opened, _):
+        write_picture(folder / SYSTEM_PICTURE, opened, "" if isinstance(system, System) else Path(system).name)
 
 
 def describe(

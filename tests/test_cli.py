@@ -206,7 +206,7 @@ def test_simulate_writes_a_folder_with_figures_and_how_it_came_about(flexible_jo
     assert main(["simulate", str(flexible_joint.system), *words]) == 0
     assert "r: 101 rows of" in capsys.readouterr().out
     found = sorted(path.name for path in Path("r").iterdir())
-    assert found == ["result.csv", "signals.png", "signals.svg", "summary.json"]
+    assert found == ["result.csv", "signals.png", "signals.svg", "summary.json", "system.svg"]
     summary = json.loads(Path("r/summary.json").read_text("utf-8"))
     assert summary["parameters"]["observer.method"] == "sampled_data"
     assert summary["parameters"]["plant.gravity_torque"] == 10.0

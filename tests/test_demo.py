@@ -16,6 +16,7 @@ from ndob_fmu.demo import run_demo, verdict
 from ndob_fmu.results import Recording
 
 PUBLISHED = ["fig1_disturbance.svg", "fig2_state_error.svg", "fig3_peaking.svg", "fig4_start_up.svg"]
+DATA = ["result.csv", "summary.json", "system.svg"]
 FIGURES = ["fig1_disturbance.png", "fig2_state_error.png", "fig3_peaking.png", "fig4_start_up.png"]
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 
@@ -44,7 +45,7 @@ def table(demo):
 
 def test_the_demo_leaves_the_fmus_the_systems_and_the_results(demo, shipped):
     found = sorted(str(path.relative_to(demo)) for path in demo.rglob("*") if path.is_file())
-    expected = [f"results/flexible_joint/{name}" for name in (*FIGURES, *PUBLISHED, "result.csv", "summary.json")]
+    expected = [f"results/flexible_joint/{name}" for name in (*FIGURES, *PUBLISHED, *DATA)]
     expected += [f"build/fmus/{path.name}" for path in shipped.fmus.glob("*.fmu")]
     expected += [f"build/ssp/{path.name}" for path in shipped.systems.iterdir()]
     assert found == sorted(str(Path(name)) for name in expected)
@@ -126,9 +127,7 @@ def test_a_shorter_run_leaves_out_what_it_cannot_know(flexible_joint, tmp_path):
     assert summary["settling_time_2_percent"] is None
     assert summary["max_disturbance_error_from_12_s"] is None
     assert (summary["step_size"], summary["stop_time"]) == (5e-3, 0.5)
-    assert sorted(path.name for path in results.iterdir()) == sorted(
-        [*FIGURES, *PUBLISHED, "result.csv", "summary.json"]
-    )
+    assert sorted(path.name for path in results.iterdir()) == sorted([*FIGURES, *PUBLISHED, *DATA])
     assert json.loads((results / "summary.json").read_text("utf-8")).keys() == summary.keys()
     assert len(read_csv(results / "result.csv")) == 101
 

@@ -9,7 +9,7 @@ import pytest
 from coupling_fmus import coupling_fmus
 from study_files import SLOW, WALK, write
 
-from ndob_fmu.cosim import FmuComponent
+from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.results import Recording
 from ndob_fmu.study import read_study
@@ -145,6 +145,23 @@ def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_
     assert [row["failed"] for row in rows] == [False, True, False, True, False]
     assert len(loaded) == 2
     assert not any(folder.exists() for folder in loaded)
+
+
+def test_components_keep_their_own_step_where_the_communication_step_varies(fmus, tmp_path):
+    system = System().add("slow", fmus / "Integrator.fmu", {"u": 1.0}, step_ratio=2)
+    system = system.add("fast", fmus / "Integrator.fmu", {"u": 1.0})
+    path = system.write(tmp_path / "rates.ssp", stop_time=2.0, step_size=0.25)
+    text = f'system = "{path}"\n[grid]\nstep_size = [0.25, 0.125, 0.5]\n'
+    study = read_study(write(tmp_path, "rates", text.replace("{", "{{").replace("}", "}}"), fmus))
+    session = Session(study, {study.system: path})
+    monitored = ("slow.y", "fast.y", "slow.half")
+    for run, step_size in enumerate((0.25, 0.125, 0.5)):
+        row, recording = session.run(run), simulate(path, step_size=step_size)
+        assert [row[name] for name in monitored] == [recording[name][-1] for name in monitored], row
+        assert session._stepped(step_size).step_ratios.get("slow", 1) == round(0.5 / step_size)
+    session.close()
+    with pytest.raises((UsageError, CouplingError), match=r"0\.2"):
+        read_study(write(tmp_path, "odd", text.replace("0.125", "0.2"), fmus))
 
 
 def test_whatever_a_run_dies_of_is_the_reason_of_that_run_only(fmus, tmp_path, monkeypatch):

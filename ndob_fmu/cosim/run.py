@@ -106,7 +106,8 @@ def _warn_of_delays(system: System) -> None:
 def open_system(system: System | str | Path, step_size: float | None = None) -> Iterator[tuple[System, Experiment]]:
     """Give the System itself, or the one behind the path of an .ssp or .fmu, with the default experiment, if any.
 
-    step_size: the communication step (s) to which a package's hints on the steps of its components are related.
+    step_size: the communication step (s), by default that of the experiment, of which an .ssp's components' own steps
+    are multiples.
     """
     if isinstance(system, System):
         yield system, Experiment()

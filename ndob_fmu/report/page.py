@@ -12,9 +12,8 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.extras import extra
 from ndob_fmu.report.content import Content
 from ndob_fmu.report.run import run_content
-from ndob_fmu.results import atomic_path
+from ndob_fmu.results import SYSTEM_PICTURE, atomic_path
 
-SYSTEM_PICTURE = "system.svg"  # whoever has a picture of the system lays it into the results folder under this name
 _CONFIGURATION = {
     "displaylogo": False,
     "responsive": True,

@@ -37,15 +37,8 @@ def check_names(file: Section, system: System, points: Points, fixed: Mapping[st
                     convert(system.variable(port), value, name)
 
 
-def check_coupling(
-    file: Section,
-    system: System,
-    experiment: Experiment,
-    simulation: Simulation,
-    points: Points,
-    fixed: Mapping[str, Value],
-) -> None:
-    """Raise UsageError or CouplingError unless the system can be wired and each step size fits into the times."""
+def check_times(file: Section, experiment: Experiment, simulation: Simulation, points: Points) -> list[float]:
+    """Return the step sizes of the study in s; raise UsageError unless each of them fits into the times."""
     start, stop = (
         default if given is None else given
         for given, default in (
@@ -61,6 +54,14 @@ def check_coupling(
     with _located(f"{file.where}, [simulation]"):
         for step in steps:
             Clock.over(start or 0.0, stop, step, simulation.output_interval)
+    return steps
+
+
+def check_coupling(
+    file: Section, system: System, simulation: Simulation, points: Points, fixed: Mapping[str, Value]
+) -> None:
+    """Raise UsageError or CouplingError unless the system can be wired as the study says."""
+    with _located(f"{file.where}, [simulation]"):
         starts: dict[Port, Value] = {}
         for name, value in {**fixed, **points[0]}.items():
             starts |= {} if name == STEP_SIZE else system.starts(name, value)

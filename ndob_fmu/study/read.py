@@ -13,7 +13,7 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.study.columns import RESERVED
 from ndob_fmu.study.description import STEP_SIZE, Simulation, Study
 from ndob_fmu.study.measures import SETTLING_TIME, TAKES, Measure
-from ndob_fmu.study.names import check_coupling, check_names, outputs, resolver, unit_of
+from ndob_fmu.study.names import check_coupling, check_names, check_times, outputs, resolver, unit_of
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.read_tables import KINDS, flat, read_tables
 from ndob_fmu.study.toml_file import Section, read_toml
@@ -36,15 +36,19 @@ def read_study(path: str | Path) -> Study:
     fixed = dict(flat(file.section("fixed").entries))
     points = Points(tuple(read_tables(file, seed)))
     _check_points(file, points, fixed)
-    with open_system(system) as (opened, experiment):
+    with open_system(system, simulation.step_size) as (opened, experiment):
         check_names(file, opened, points, fixed)
         resolve = resolver(file.where, opened)
         measures = dict(_measures(file.section("measures"), resolve))
         if not measures:
             measures = {name: Measure(name, "final") for name in outputs(opened)}
         record = tuple(resolve("record", name) for name in file.get("record", list, [], "a list of signals"))
-        check_coupling(file, opened, experiment, simulation, points, fixed)
+        steps = check_times(file, experiment, simulation, points)
+        check_coupling(file, opened, simulation, points, fixed)
         units = _units(opened, points, measures, record)
+    for step in steps:
+        with open_system(system, step):  # whether the components' own steps are multiples of it
+            pass
     _check_columns(file, points, measures)
     contents = [str(system), *([simulation.input_file] if simulation.input_file else [])]
     files = {name: _content(name) for name in contents}

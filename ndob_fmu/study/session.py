@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ndob_fmu.cosim import FmuComponent, open_system, simulate
+from ndob_fmu.cosim import FmuComponent, System, open_system, simulate
 from ndob_fmu.errors import NdobError
 from ndob_fmu.results import Recording
 from ndob_fmu.study.columns import FAILED, REASON, RUN, TIME, WALL_TIME, over_time
@@ -26,8 +28,10 @@ class Session:
     def __init__(self, study: Study, files: dict[str, Path]) -> None:
         self._study = study
         self._release = ExitStack()
+        self._path = files[study.system]
         settings = study.simulation
-        self._system, experiment = self._release.enter_context(open_system(files[study.system]))
+        self._system, experiment = self._release.enter_context(open_system(self._path, settings.step_size))
+        self._ratios: dict[float, Mapping[str, int]] = {}
         for component in self._system.components.values():
             if isinstance(component, FmuComponent):
                 self._release.enter_context(component.kept())
@@ -63,8 +67,18 @@ class Session:
         return kept
 
     def _simulate(self, point: dict[str, Any]) -> Recording:
-        step = {STEP_SIZE: float(point.pop(STEP_SIZE))} if STEP_SIZE in point else {}
-        return simulate(self._system, start_values={**self._study.fixed, **point}, **{**self._settings, **step})
+        system, settings = self._system, self._settings
+        if STEP_SIZE in point:
+            step_size = float(point.pop(STEP_SIZE))
+            system, settings = self._stepped(step_size), {**settings, STEP_SIZE: step_size}
+        return simulate(system, start_values={**self._study.fixed, **point}, **settings)
+
+    def _stepped(self, step_size: float) -> System:
+        """Return the system for a communication step (s), of which its components' own steps are multiples."""
+        if step_size not in self._ratios:
+            with open_system(self._path, step_size) as (opened, _):
+                self._ratios[step_size] = opened.step_ratios
+        return replace(self._system, step_ratios=self._ratios[step_size])
 
     def close(self) -> None:
         """Free the FMUs and delete what was unpacked."""

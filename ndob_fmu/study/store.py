@@ -17,8 +17,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ndob_fmu.cosim import open_system
+from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results import atomic_path, write_json
+from ndob_fmu.results import SYSTEM_PICTURE, atomic_path, write_json
 from ndob_fmu.study.columns import FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
 
@@ -43,6 +45,8 @@ class Store:
             _require_same(plan, study)
         else:
             write_json(plan, {**study.to_dict(), "digest": study.digest})
+            with open_system(study.system) as (system, _):
+                write_picture(folder / SYSTEM_PICTURE, system, Path(study.system).name)
         for path in (folder / _SHARDS).glob(".runs_*"):  # of a command that was killed while it wrote
             path.unlink()
         for path in _shards(folder):
