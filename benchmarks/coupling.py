@@ -138,7 +138,7 @@ def ecospy(job: Job, *, record: bool = True) -> None:
     simulation = EcosSimulation(ssp_path=job.package, step_size=job.step_size)
     if record:
         simulation.add_csv_writer("result.csv")
-    assert simulation.init(parameter_set="open_loop")
+    assert simulation.init(parameter_set="nominal")
     simulation.step(job.steps)
     simulation.terminate()
     simulation.free()

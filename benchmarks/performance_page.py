@@ -49,7 +49,7 @@ def ratio_table(rows: Sequence[Ratio]) -> str:
                 row.peer,
                 f"**{row.median:.3g}**",
                 f"{row.low:.3g} – {row.high:.3g}",
-                "" if row.required is None else f"≤ {row.required:g}",
+                "" if row.required is None else f"≤ {row.required:.3g}",
                 "" if row.required is None else "met" if row.median <= row.required else "**not met**",
             )
             for row in rows
