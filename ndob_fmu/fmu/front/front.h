@@ -129,7 +129,8 @@ extern Slave slave;
 
 /* What of the calling thread is the host's: kept during a call. */
 typedef struct {
-    fenv_t numerics;
+    bool unusual;
+    fenv_t numerics; /* if they are unusual */
 } Surroundings;
 
 /* What a saved state has to bring back besides the slave's own. */

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 static volatile sig_atomic_t inside, held[NSIG], any_held;
+static volatile sig_atomic_t passed_on = 1; /* since the last call began */
 static struct sigaction before[NSIG];
 static bool holding[NSIG]; /* until it is given back: handlers that others set over this one pass signals on to it */
 static bool holds_any;
@@ -19,6 +20,7 @@ static bool main_thread(void) {
 }
 
 static void on_signal(int number, siginfo_t *information, void *context) {
+    passed_on = 1;
     if (inside) held[number] = any_held = 1;
     else if (before[number].sa_flags & SA_SIGINFO) before[number].sa_sigaction(number, information, context);
     else before[number].sa_handler(number);
@@ -50,7 +52,9 @@ void interrupts_give_back(void) {
 
 void interrupts_begin(void) {
     if (!holds_any || !main_thread()) return;
-    if (!inside++) python_take_pending();
+    if (inside++ || !passed_on) return;
+    passed_on = 0;
+    python_take_pending();
 }
 
 void interrupts_end(void) {
