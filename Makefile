@@ -11,7 +11,7 @@ build: .venv/installed
 	$(BIN)/ndob-fmu build flexible_joint --out build/fmus --systems build/ssp
 
 test: .venv/installed-test build lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 lint: .venv/installed-test
 	$(BIN)/ruff check .
