@@ -56,10 +56,11 @@ def test_a_call_that_is_answered_wrongly_is_shown_with_those_before_it_and_how_t
     assert "Instantiate i0" in done.stderr
 
 
+@pytest.mark.parametrize("method", [1, 2])
 @pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_a_step_of_a_size_that_no_arithmetic_can_take_is_discarded(flexible_joint, size):
+def test_a_step_of_a_size_that_no_arithmetic_can_take_is_discarded_at_once(flexible_joint, size, method):
     with opened(flexible_joint.observer) as observer:
-        observer.begin()
+        observer.begin(method=method)
         observer.step(0.0, 1e-3, motor_angle=0.2)
         before = observer.get()
         assert observer.doStep(1e-3, size) == DISCARD

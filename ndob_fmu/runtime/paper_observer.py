@@ -14,10 +14,11 @@ from math import ceil
 import numpy as np
 
 from ndob_fmu.runtime.equations import Equations, Vector
-from ndob_fmu.runtime.errors import DesignError
+from ndob_fmu.runtime.errors import DesignError, IntegrationError
 from ndob_fmu.runtime.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.gains import LinearPart, orthogonal_factor
 from ndob_fmu.runtime.hold import History, empty_history
+from ndob_fmu.runtime.integrate import MOST_SUBSTEPS
 from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
@@ -84,7 +85,10 @@ class PaperObserver:
         )
 
     def step(self, state: ObserverState, u: Vector, y: Vector, H: float) -> tuple[ObserverState, Estimate]:
-        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
+        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step.
+
+        Raises IntegrationError where that takes more than `MOST_SUBSTEPS`.
+        """
         start = self.estimate(state, y)
         inputs = np.array(u, dtype=float)
         if not np.all(np.isfinite(inputs)):
@@ -119,7 +123,12 @@ class PaperObserver:
 
     def _substeps(self, t: float, H: float) -> int:
         rise = abs(self.schedule.log_pi(t + H) - self.schedule.log_pi(t))
-        return max(1, ceil(H * self.fastest_f / _LARGEST_LIPSCHITZ_STEP), ceil(rise / _LARGEST_LOG_PI_STEP))
+        substeps = max(1.0, H * self.fastest_f / _LARGEST_LIPSCHITZ_STEP, rise / _LARGEST_LOG_PI_STEP)
+        if substeps > MOST_SUBSTEPS:
+            raise IntegrationError.report(
+                "communication step", expected=f"one of at most {MOST_SUBSTEPS} substeps", received=f"{H:g} s"
+            )
+        return ceil(substeps)
 
     def _unknown_inputs(self, t: float, output_error: Array) -> Array:
         """Return ŵ (q,), eqs. (6) and (23): f(x) − f(x̂) and d where they enter apart, their sum where matched."""
