@@ -415,7 +415,7 @@ class Walk:
     def keep(self, twin: Twin, before: Saved | None, place: c_void_p, memory: Memory) -> None:
         if before and before.alive and before.library is twin.library:
             assert place.value == before.handle.value, "expected the state that was there to be overwritten"
-            before.memory = memory
+            before.owner, before.memory = twin, memory
         else:
             self.saved.append(Saved(twin.library, place, twin, memory))
         while len(self.saved) > 20:
