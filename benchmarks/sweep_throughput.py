@@ -69,7 +69,7 @@ def rows(parts: Sequence[str] = PARTS, *, quick: bool = False) -> Iterator[Row]:
         build(load_model("flexible_joint"), folder)
         build_ssp(shipped_folder("ssp") / "open_loop", folder, folder)
         if "workers" in parts:
-            yield from _workers(folder, runs=4 if quick else 200, rounds=1 if quick else 3)
+            yield from _workers(folder, runs=4 if quick else 60, rounds=1 if quick else 3)
         if "fresh" in parts:
             yield from _fresh(folder, runs=20 if quick else 1000, fresh=3 if quick else 60)
         if "memory" in parts:
