@@ -8,17 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ndob_fmu.cosim.component import Value
+from ndob_fmu.cosim.ssp.schema import NAMESPACES
 
-_SPACES = " ".join(
-    f'xmlns:{prefix}="http://ssp-standard.org/SSP1/SystemStructure{name}"'
-    for prefix, name in {
-        "ssd": "Description",
-        "ssc": "Common",
-        "ssv": "ParameterValues",
-        "ssm": "ParameterMapping",
-        "ssb": "SignalDictionary",
-    }.items()
-)
+_SPACES = " ".join(f'xmlns:{prefix}="{namespace}"' for prefix, namespace in NAMESPACES.items())
 _HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
 _UNITS = """<ssc:Unit name="rad"><ssc:BaseUnit rad="1"/></ssc:Unit>
     <ssc:Unit name="N.m"><ssc:BaseUnit kg="1" m="2" s="-2"/></ssc:Unit>"""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,16 @@ class Built:
     plant: Path
     observer: Path
     system: Path
+
+
+@pytest.fixture
+def nothing_left_behind(tmp_path, monkeypatch):
+    """A test that uses this also shows that no temporary folder outlives it."""
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield
+    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 import zipfile
 from pathlib import Path
 
@@ -14,6 +13,8 @@ from fmpy.ssp.simulation import simulate_ssp
 
 from ndob_fmu.cosim import FmuComponent, System, build_ssp, open_ssp, simulate
 from ndob_fmu.errors import CouplingError, SimulationError, UsageError
+
+pytestmark = pytest.mark.usefixtures("nothing_left_behind")
 
 OPEN_LOOP = Path(__file__).parent.parent / "ssp" / "open_loop"
 
@@ -81,16 +82,6 @@ SSV = """<?xml version="1.0" encoding="UTF-8"?>
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory):
     return coupling_fmus(tmp_path_factory.getbasetemp())
-
-
-@pytest.fixture(autouse=True)
-def nothing_left_behind(tmp_path, monkeypatch):
-    """Every test here also shows that no temporary folder outlives it."""
-    folder = tmp_path / "tmp"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield
-    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture

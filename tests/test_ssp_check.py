@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import zipfile
 from xml.etree import ElementTree
 
@@ -29,14 +28,9 @@ SYSTEM = (
 
 
 @pytest.fixture(autouse=True)
-def nothing_left_behind(tmp_path, monkeypatch):
-    """Every test here also shows that no temporary folder outlives it."""
-    folder = tmp_path / "tmp"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+def own_folder(nothing_left_behind, tmp_path, monkeypatch):
+    """Every test here works in a folder of its own, and leaves no temporary one."""
     monkeypatch.chdir(tmp_path)
-    yield
-    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 import zipfile
 
 import numpy as np
@@ -26,20 +25,12 @@ from ssp_text import (
 from ndob_fmu.cosim import open_ssp, simulate
 from ndob_fmu.errors import CouplingError, UsageError
 
+pytestmark = pytest.mark.usefixtures("nothing_left_behind")
+
 
 @pytest.fixture(scope="module")
 def fmus(tmp_path_factory):
     return coupling_fmus(tmp_path_factory.getbasetemp())
-
-
-@pytest.fixture(autouse=True)
-def nothing_left_behind(tmp_path, monkeypatch):
-    """Every test here also shows that no temporary folder outlives it."""
-    folder = tmp_path / "tmp"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield
-    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture
