@@ -21,6 +21,7 @@ from ndob_fmu import __version__
 from ndob_fmu.errors import UsageError
 
 SYSTEM_PICTURE = "system.svg"  # the name of the picture of the system in a folder of results
+_VALUES_IN_A_BLOCK = 100_000  # a Python number takes 32 bytes: some megabytes
 _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
 
 
@@ -92,8 +93,11 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         header = csv.writer(file, quoting=csv.QUOTE_ALL, lineterminator="\n")
         header.writerow(["time", *recording.names])
-        for row in np.column_stack([recording.time, recording.columns]).tolist():
-            file.write(",".join([as_text(value) for as_text, value in zip(formats, row, strict=True)]) + "\n")
+        block = max(1, _VALUES_IN_A_BLOCK // len(formats))
+        for first in range(0, len(recording.time), block):
+            rows = slice(first, first + block)
+            for row in np.column_stack([recording.time[rows], recording.columns[rows]]).tolist():
+                file.write(",".join([as_text(value) for as_text, value in zip(formats, row, strict=True)]) + "\n")
 
 
 def _integer(value: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,30 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path_factory, data):
     assert back.names == ("x[1,2]", 'say "y"', "z ä")
     np.testing.assert_array_equal(back.time, time)
     np.testing.assert_array_equal(back.columns, columns)
+
+
+def test_a_recording_longer_than_a_block_is_written_row_by_row_in_order(tmp_path):
+    rows = 30_000
+    columns = np.random.default_rng(1).standard_normal((rows, 7))
+    write_csv(tmp_path / "result.csv", Recording(np.arange(rows) * 1e-3, tuple("abcdefg"), columns))
+    back = read_csv(tmp_path / "result.csv")
+    np.testing.assert_array_equal(back.time, np.arange(rows) * 1e-3)
+    np.testing.assert_array_equal(back.columns, columns)
+
+
+def test_the_memory_for_writing_a_csv_file_does_not_grow_with_its_rows(tmp_path):
+    def peak(rows):
+        recording = Recording(np.arange(rows) * 1e-3, tuple("abcdefghi"), np.full((rows, 9), np.pi))
+        tracemalloc.start()
+        try:
+            write_csv(tmp_path / "result.csv", recording)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    short, long = peak(10_000), peak(20_000)
+    assert long < 1.1 * short
+    assert long < 10e6
 
 
 def test_a_csv_file_of_fmpy_is_read(tmp_path):
