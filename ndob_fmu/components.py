@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_are
 
 from ndob_fmu.emit import emit_python
-from ndob_fmu.errors import DesignError, ModelError, UsageError
+from ndob_fmu.errors import DesignError, ModelError, UsageError, some_of
 from ndob_fmu.fmu.build import package
 from ndob_fmu.fmu.bundle import bundle
 from ndob_fmu.fmu.extras import surroundings
@@ -153,8 +153,8 @@ def _regulated(model: Model, given: Sequence[str] | None) -> tuple[str, ...]:
     if len(names) != m or len(set(names)) != m or not set(names) <= set(known):
         raise UsageError.report(
             "regulated",
-            expected=f"{m} of {', '.join(known)}: one for each input",
-            received=", ".join(names) or "none",
+            expected=f"{m} of {some_of(known)}: one for each input",
+            received=some_of(names),
         )
     return names
 

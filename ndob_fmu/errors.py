@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from ndob_fmu.runtime.errors import AssumptionError, DesignError, NdobError
+import difflib
+from collections.abc import Iterable
+
+from ndob_fmu.runtime.errors import MESSAGE_LIMIT, AssumptionError, DesignError, NdobError, shortened
+
+_LISTED = 100  # characters: longer lists are shortened to a few names and a count
+_NEAREST = 3
 
 
 class UsageError(NdobError):
@@ -23,7 +29,51 @@ class SimulationError(NdobError):
     exit_code = 1
 
 
+def one_of(kind: str, names: Iterable[str], received: object = None) -> str:
+    """Return a text for the names that were expected, to follow "expected".
+
+    kind: what the names are, in the singular. All of them are listed where there are few; of many their number and
+    those nearest to ``received``.
+    """
+    known = list(dict.fromkeys(names))
+    if not known:
+        return f"the name of a {kind}, but there are no {_plural(kind)}"
+    if len(known) == 1:
+        return f"the {kind} {known[0]}"
+    if len(", ".join(known)) <= _LISTED:
+        return f"one of the {_plural(kind)} {', '.join(known)}"
+    near = difflib.get_close_matches(str(received), known, n=_NEAREST, cutoff=0.4) or known[:_NEAREST]
+    shown = ", ".join(shortened(name, _LISTED // 2) for name in near)
+    return f"one of the {len(known)} {_plural(kind)}, such as {shown}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the likely cause of an unknown name: the known one that is nearest; empty if none is near."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean {near[0]!r}?" if near else ""
+
+
+def some_of(names: Iterable[str], *, between: str = ", ") -> str:
+    """Return names one after another: all if they are few, else the first of them and how many more there are.
+
+    between: what stands between them. A list without names is "none".
+    """
+    known = list(names)
+    shown: list[str] = []
+    while len(shown) < len(known) and len(between.join([*shown, known[len(shown)]])) <= _LISTED:
+        shown.append(known[len(shown)])
+    shown = shown or [shortened(name, _LISTED) for name in known[:1]]
+    more = len(known) - len(shown)
+    return between.join(shown) + (f" and {more} more" if more else "") if known else "none"
+
+
+def _plural(kind: str) -> str:
+    noun, of, rest = kind.partition(" of ")
+    return f"{noun[:-1]}ies{of}{rest}" if noun.endswith("y") else f"{noun}s{of}{rest}"
+
+
 __all__ = [
+    "MESSAGE_LIMIT",
     "AssumptionError",
     "CouplingError",
     "DesignError",
@@ -31,4 +81,8 @@ __all__ = [
     "NdobError",
     "SimulationError",
     "UsageError",
+    "nearest",
+    "one_of",
+    "shortened",
+    "some_of",
 ]

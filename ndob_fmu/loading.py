@@ -7,7 +7,7 @@ import runpy
 import traceback
 from pathlib import Path
 
-from ndob_fmu.errors import ModelError
+from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model import Model
 
 BUILT_IN = ("flexible_joint",)
@@ -25,7 +25,7 @@ def load_model(source: str | Path) -> Model:
     if not path.is_file():
         raise ModelError.report(
             "MODEL",
-            expected=f"a built-in name ({', '.join(BUILT_IN)}) or the path of a Python file that defines `model`",
+            expected=f"a built-in name ({some_of(BUILT_IN)}) or the path of a Python file that defines `model`",
             received=repr(str(source)),
             likely="a misspelt name, or another working directory",
         )

@@ -21,7 +21,7 @@ import numpy as np
 import sympy
 
 from ndob_fmu.emit import compile_equations
-from ndob_fmu.errors import ModelError
+from ndob_fmu.errors import ModelError, nearest, one_of, some_of
 from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults, lumped_names
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.interface import reserved_names
@@ -166,7 +166,7 @@ class Model:
             raise ModelError.report(
                 f"the matrices of {self.name}",
                 expected="finite real entries",
-                received=", ".join(f"{name} = {value:g}" for name, value in zip(self.parameters, values, strict=True)),
+                received=some_of(f"{name} = {value:g}" for name, value in zip(self.parameters, values, strict=True)),
                 likely="a division by zero or the root of a negative number at these parameters",
             )
         return linear
@@ -180,7 +180,10 @@ class Model:
         for name, value in overrides.items():
             if name not in self.parameters:
                 raise ModelError.report(
-                    f"parameter {name!r} of {self.name}", expected=_listed(self.parameters), received=repr(name)
+                    f"parameter {name!r} of {self.name}",
+                    expected=one_of("parameter", sorted(self.parameters), name),
+                    received=repr(name),
+                    likely=nearest(name, self.parameters),
                 )
             self._require_finite(name, value)
         return tuple(float(overrides.get(name, value)) for name, value in self.parameters.items())
@@ -229,8 +232,12 @@ class Model:
         for mapping in ("units", "descriptions"):
             for name in getattr(self, mapping):
                 if name not in seen and name not in self.outputs:
+                    known = sorted({*seen, *self.outputs})
                     raise ModelError.report(
-                        f"{self.name}.{mapping}", expected=_listed([*seen, *self.outputs]), received=repr(name)
+                        f"{self.name}.{mapping}",
+                        expected=one_of("name", known, name),
+                        received=repr(name),
+                        likely=nearest(name, known),
                     )
         for name, text in {"description": self.description, **self.descriptions}.items():
             if not isinstance(text, str) or _NO_TEXT.search(text):
@@ -276,7 +283,7 @@ class Model:
             if symbol.name not in known:
                 raise ModelError.report(
                     f"{self.name}.{label}",
-                    expected=f"expressions in {_listed(known)}",
+                    expected=f"expressions in {some_of(sorted(known))}" if known else "numbers",
                     received=f"the symbol {symbol.name!r}",
                     likely="a parameter that is not declared, or a state in a constant matrix",
                 )
@@ -333,7 +340,7 @@ class Model:
             raise ModelError.report(
                 f"{self.name}.disturbances",
                 expected="one disturbance where there is a channel",
-                received=f"{disturbances}: {', '.join(self.disturbances)}",
+                received=f"{disturbances}: {some_of(self.disturbances)}",
                 likely="the channel belongs to one of them; give the others constant columns in a model of their own",
             )
         if not (_is_finite_number(self.channel_rate) and self.channel_rate >= 0):
@@ -383,10 +390,6 @@ def _require_identifier(where: str, name: Any) -> None:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(sorted(set(names))) or "none"
 
 
 def _same(one: sympy.MatrixBase, other: sympy.MatrixBase) -> bool:

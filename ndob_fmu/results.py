@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu import __version__
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, nearest, one_of, some_of
 
 SYSTEM_PICTURE = "system.svg"  # the name of the picture of the system in a folder of results
 _VALUES_IN_A_BLOCK = 100_000  # a Python number takes 32 bytes: some megabytes
@@ -56,7 +56,10 @@ class Recording:
         """Return one signal, (rows,), as float64, int64 or bool after its FMI type; raise UsageError if absent."""
         if name not in self._position:
             raise UsageError.report(
-                "recording", expected=f"one of the signals {', '.join(self.names)}", received=repr(name)
+                "recording",
+                expected=one_of("signal", self.names, name),
+                received=repr(name),
+                likely=nearest(name, self.names),
             )
         column = self._position[name]
         return self.columns[:, column].astype(_DTYPES.get(self.types[column], np.dtype(np.float64)))
@@ -121,7 +124,7 @@ def read_csv(path: str | Path) -> Recording:
         raise UsageError.report(
             where,
             expected='a header of different names, the first of them "time"',
-            received=",".join(names) or "an empty file",
+            received=some_of(names, between=",") if names else "an empty file",
             likely="another separator than the comma, or no header line",
         )
     try:

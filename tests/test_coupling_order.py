@@ -228,7 +228,8 @@ def test_samples_of_the_shipped_observer_are_not_extrapolated(flexible_joint):
 def test_an_order_that_names_no_component_is_refused_with_the_nearest_one():
     system = System({"plant": ramp(), "observer": ramp()})
     with pytest.raises(
-        CouplingError, match=r"component: expected one of observer, plant, received 'plnat'; .* mean 'plant'"
+        CouplingError,
+        match=r"component plnat: expected one of the components observer, plant, received 'plnat'; .*'plant'",
     ):
         simulate(system, **ONE_STEP, scheme="gauss-seidel", order=["observer", "plnat"])
 

@@ -118,7 +118,7 @@ def test_the_output_interval_thins_the_rows_but_not_the_steps():
         ({"output_interval": 2.0}, ["output interval", "at most 1.0 s"]),
         ({"step_size": 1e-300}, ["fits in memory", "step size"]),
         ({"step_size": 1e-15}, ["fits in memory", "step size"]),
-        ({"scheme": "seidel"}, ["scheme", "jacobi or gauss-seidel or extrapolation", "'seidel'"]),
+        ({"scheme": "seidel"}, ["scheme", "one of the schemes jacobi, gauss-seidel, extrapolation", "'seidel'"]),
         ({"order": ["a"]}, ["order", "the scheme gauss-seidel", "'jacobi'"]),
         ({"scheme": "gauss-seidel", "order": []}, ["order", "each of the components a once", "none"]),
         ({"scheme": "gauss-seidel", "order": ["a", "a"]}, ["order", "each of the components a once", "a, a"]),

@@ -239,7 +239,7 @@ def test_an_output_that_is_named_like_a_state_must_be_that_state():
 
 
 def test_units_and_descriptions_of_unknown_names_are_refused():
-    assert "Plant.units: expected a, b, c, d, k, load, u, v, w, y, z, received 'speed'" in refused(
+    assert "Plant.units: expected one of the names a, b, c, d, k, load, u, v, w, y, z, received 'speed'" in refused(
         units={"speed": "m/s"}
     )
     assert "received 'speed'" in refused(descriptions={"speed": "of the car"})
@@ -256,7 +256,7 @@ def test_a_parameter_is_a_finite_number_at_the_start_and_when_replaced(value):
 def test_a_parameter_that_is_not_there_cannot_be_replaced():
     with pytest.raises(ModelError) as caught:
         plant().parameter_values({"K": 1.0})
-    assert "expected k, received 'K'" in one_line(caught.value)
+    assert "expected the parameter k, received 'K'" in one_line(caught.value)
 
 
 @pytest.mark.parametrize(("entry", "value"), [(1 / sympy.Symbol("k"), 0.0), (sympy.sqrt(sympy.Symbol("k")), -1.0)])

@@ -75,7 +75,7 @@ BROKEN = {
     "an unknown connector": (
         {"change": [('endConnector="a"><ssc:Linear', 'endConnector="aa"><ssc:Linear')]},
         "connections",
-        "variable of two: expected one of a, b, k, y, received 'aa'; likely cause: did you mean 'a'?",
+        "variable of two: expected one of the variables a, b, k, y, received 'aa'; likely cause: did you mean 'a'?",
     ),
     "an unconnected input": (
         {"change": [('<ssv:Parameter name="b">', '<ssv:Parameter name="k">')]},

@@ -250,8 +250,14 @@ TWO = component("one", "a> b> y<", bindings=values(k=1)), component("two", "a> b
     [
         (elements(*TWO) + connections("one.y two.y"), "one.y → two.y: expected a source and a target, received output"),
         (elements(*TWO) + connections("one.a two.a"), "received input and input"),
-        (elements(*TWO) + connections("one.y three.a"), "expected one of the connectors none of three, received 'a'"),
-        (elements(*TWO) + connections("u one.a"), "expected one of the connectors none of the system, received 'u'"),
+        (
+            elements(*TWO) + connections("one.y three.a"),
+            "no connectors of three, received 'a'",
+        ),
+        (
+            elements(*TWO) + connections("u one.a"),
+            "no connectors of the system, received 'u'",
+        ),
         (
             ports("u>") + elements(*TWO) + connections("u one.a", "two.y one.a"),
             "input one.a: expected exactly one driver, received u and two.y",
@@ -262,7 +268,7 @@ TWO = component("one", "a> b> y<", bindings=values(k=1)), component("two", "a> b
         (elements(*TWO, '<ssd:System name="two"/>'), "element two: expected a new name"),
         (
             elements(*TWO, '<ssd:SignalDictionaryReference name="d" dictionary="bus"/>'),
-            "SignalDictionaryReference 'd': expected one of the signal dictionaries none, received 'bus'",
+            "SignalDictionaryReference 'd': but there are no signal dictionaries, received 'bus'",
         ),
         (
             ports("u>[kg]") + elements(component("one", "a>[m]", bindings=values(b=1))) + connections("u one.a"),
@@ -281,7 +287,7 @@ TWO = component("one", "a> b> y<", bindings=values(k=1)), component("two", "a> b
             "connector u: expected a new name",
         ),
         (bindings(values(x=1)) + elements(*TWO), "'x': expected component.variable"),
-        (mapped("stiff one.k", stiffness=1)[0], "mapping to one.k: expected one of stiffness, received 'stiff'"),
+        (mapped("stiff one.k", stiffness=1)[0], "mapping to one.k: expected the parameter stiffness, received 'stiff'"),
         (
             bindings(values(**{"inner.u": 1}))
             + elements(*TWO, f'<ssd:System name="inner">{ports("u> y<")}{connections("u y")}</ssd:System>')

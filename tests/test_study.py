@@ -260,7 +260,7 @@ def test_a_list_needs_as_many_values_for_each_name(fmus, tmp_path):
 
 
 def test_a_study_that_varies_nothing_and_one_that_is_not_there_are_refused(fmus, tmp_path):
-    with pytest.raises(UsageError, match=r"a table \[grid\] or .*received none"):
+    with pytest.raises(UsageError, match=r"one of the tables \[grid\], .*received none"):
         read_study(write(tmp_path, "s", WALK.split("[grid]")[0], fmus))
     with pytest.raises(UsageError, match=r"absent\.toml: expected a study file that can be read"):
         read_study(tmp_path / "absent.toml")

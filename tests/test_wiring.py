@@ -75,7 +75,10 @@ def test_a_well_wired_system_runs():
     [
         (("plnat.motor_angle", "observer.motor_angle"), ["component of plnat.motor_angle", "did you mean 'plant'?"]),
         (("plant.moter_angle", "observer.motor_angle"), ["variable of plant", "'moter_angle'", "mean 'motor_angle'?"]),
-        (("plant.motor_angle", "observer.link_angel"), ["variable of observer", "one of a_hat", "'link_angel'"]),
+        (
+            ("plant.motor_angle", "observer.link_angel"),
+            ["variable of observer", "one of the variables a_hat", "'link_angel'"],
+        ),
         (("plant.mass", "observer.motor_angle"), ["an output as the source plant.mass", "received parameter"]),
         (("plant.motor_angle", "observer.a_hat"), ["an input as the target observer.a_hat", "received output"]),
         (("plant.motor_angle", "observer.count"), ["the type Integer of observer.count", "received Real"]),

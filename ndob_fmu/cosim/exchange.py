@@ -12,6 +12,7 @@ from ndob_fmu.cosim.component import Array
 from ndob_fmu.cosim.loops import algebraic_loops
 from ndob_fmu.cosim.schemes import Part
 from ndob_fmu.cosim.wiring import Wiring
+from ndob_fmu.errors import some_of
 
 _log = logging.getLogger(__name__)
 _MOST_ITERATIONS = 100
@@ -91,7 +92,7 @@ def _warn(wiring: Wiring, unsettled: set[str]) -> None:
     ]
     _log.warning(
         "the values at the start do not settle: %s; the first steps begin from values that do not fit together",
-        f"algebraic loop {'; '.join(map(str, loops))}"
+        f"algebraic loop {some_of(map(str, loops), between='; ')}"
         if loops
-        else f"{', '.join(sorted(unsettled))} change whenever they are read",
+        else f"{some_of(sorted(unsettled))} change whenever they are read",
     )

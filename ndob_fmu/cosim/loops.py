@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ndob_fmu.cosim.system import Port, System
+from ndob_fmu.errors import some_of
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Loop:
     declared: bool
 
     def __str__(self) -> str:
-        return " → ".join(map(str, (*self.ports, self.ports[0])))
+        return some_of(map(str, (*self.ports, self.ports[0])), between=" → ")
 
 
 def algebraic_loops(system: System, *, initial: bool) -> tuple[Loop, ...]:

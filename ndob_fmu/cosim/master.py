@@ -15,7 +15,7 @@ from ndob_fmu.cosim.exchange import exchange
 from ndob_fmu.cosim.interrupt import deferred_interrupt
 from ndob_fmu.cosim.schemes import SCHEMES
 from ndob_fmu.cosim.wiring import Wiring
-from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.errors import NdobError, UsageError, one_of
 from ndob_fmu.results import Recording
 
 _QUIET_SECONDS = 2.0  # a run shorter than this shows no progress bar
@@ -30,7 +30,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None) -> 
     that does not fit in memory, and what the components raise.
     """
     if scheme not in SCHEMES:
-        raise UsageError.report("scheme", expected=" or ".join(SCHEMES), received=repr(scheme))
+        raise UsageError.report("scheme", expected=one_of("scheme", SCHEMES, scheme), received=repr(scheme))
     play = wiring.table.player(clock)
     width = len(wiring.names)
     bus = np.zeros(width + len(wiring.table.ports))

@@ -14,7 +14,7 @@ from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.errors import CouplingError, NdobError, UsageError
+from ndob_fmu.errors import CouplingError, NdobError, UsageError, nearest, one_of
 from ndob_fmu.units import Unit
 
 
@@ -173,16 +173,16 @@ class System:
     def component(self, name: str) -> Component:
         """Return the component called ``name``; raise CouplingError, naming the nearest one, if there is none."""
         if name not in self.components:
-            raise _unknown("component", name, self.components)
+            raise _unknown(f"component {name}", "component", name, self.components)
         return self.components[name]
 
     def variable(self, port: Port) -> Variable:
         """Return the variable behind ``port``; raise CouplingError, naming the nearest one, if there is none."""
         if port.component not in self._variables:
-            raise _unknown(f"component of {port}", port.component, self._variables)
+            raise _unknown(f"component of {port}", "component", port.component, self._variables)
         table = self._variables[port.component]
         if port.variable not in table:
-            raise _unknown(f"variable of {port.component}", port.variable, table)
+            raise _unknown(f"variable of {port.component}", "variable", port.variable, table)
         return table[port.variable]
 
     def port(self, name: str) -> Port:
@@ -201,8 +201,8 @@ class System:
             whole = [full for full in known if full.endswith(f".{name}")] or difflib.get_close_matches(name, known, n=1)
             raise CouplingError.report(
                 repr(name),
-                expected=f"component.variable of one of the components {', '.join(self.components)}",
-                received="no such component",
+                expected=f"component.variable, with {one_of('component', self.components, name)}",
+                received="no such component" if self.components else "a system without components",
                 likely=f"did you mean {whole[0]!r}?" if whole else "",
             )
         return found
@@ -292,12 +292,10 @@ class System:
         return convert(variable, value, str(port))
 
 
-def _unknown(where: str, name: str, known: Iterable[str]) -> NdobError:
+def _unknown(where: str, kind: str, name: str, known: Iterable[str]) -> NdobError:
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1)
-    listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    likely = f"did you mean {near[0]!r}?" if near else ""
-    return CouplingError.report(where, expected=f"one of {listed or 'none'}", received=repr(name), likely=likely)
+    expected = one_of(kind, names, name)
+    return CouplingError.report(where, expected=expected, received=repr(name), likely=nearest(name, names))
 
 
 def _require(connection: Connection, expected: str, received: str, wanted: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ndob_fmu.cosim.component import Value, Variable
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, one_of
 
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
@@ -29,5 +29,5 @@ def convert(variable: Variable, value: Any, where: str) -> Value:
         pass
     wanted = {"Real": "a number", "Boolean": "true, false, 1 or 0"}.get(variable.type, "a whole number")
     if variable.items:
-        wanted = f"one of {', '.join(f'{name} = {number}' for name, number in variable.items)}"
+        wanted = one_of("item", (f"{name} = {number}" for name, number in variable.items), text)
     raise UsageError.report(where, expected=f"{wanted} ({variable.type})", received=repr(text))

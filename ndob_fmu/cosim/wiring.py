@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ndob_fmu.cosim.component import Array, Component, Value, Variable, recordable
 from ndob_fmu.cosim.inputs import InputTable
 from ndob_fmu.cosim.system import Connection, Port, System
-from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.errors import CouplingError, UsageError, some_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def require_drivers(system: System, driven: set[Port]) -> None:
     ]
     if missing:
         raise CouplingError.report(
-            f"input{'s' * (len(missing) > 1)} {', '.join(missing)}",
+            f"input{'s' * (len(missing) > 1)} {some_of(missing)}",
             expected="a connection, a column of the input file or a start value",
             received="none of them",
             likely="a start value was left to the component's own default; give it explicitly",
@@ -122,8 +122,8 @@ def _order(system: System, order: Sequence[str] | None) -> Sequence[str]:
     for name in order:
         system.component(name)
     if sorted(order) != sorted(system.components):
-        expected = f"each of the components {', '.join(system.components)} once"
-        raise UsageError.report("order", expected=expected, received=", ".join(order) or "none")
+        expected = f"each of the components {some_of(system.components)} once"
+        raise UsageError.report("order", expected=expected, received=some_of(order))
     return order
 
 

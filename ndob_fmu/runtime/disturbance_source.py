@@ -109,10 +109,11 @@ def read_profile(path: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     for number, row in enumerate(rows, start=1):
         pair = _numbers(row)
         if pair is None:
+            text = ",".join(row)
             raise NdobError.report(
                 f"disturbance.profile {path}, data row {number}",
                 expected="two finite numbers, time and value",
-                received=repr(",".join(row)),
+                received=repr(text),
             )
         table.append(pair)
     if not table:

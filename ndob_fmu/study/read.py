@@ -9,7 +9,7 @@ from typing import Any
 
 from ndob_fmu.cosim import System, Value, open_system
 from ndob_fmu.cosim.schemes import SCHEMES
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.study.columns import RESERVED
 from ndob_fmu.study.description import STEP_SIZE, Simulation, Study
 from ndob_fmu.study.measures import SETTLING_TIME, TAKES, Measure
@@ -57,9 +57,10 @@ def read_study(path: str | Path) -> Study:
 
 def _simulation(section: Section, folder: Path) -> Simulation:
     section.only([entry.name for entry in fields(Simulation)])
-    scheme = section.get("scheme", str, "jacobi", " or ".join(map(repr, SCHEMES)))
+    schemes = one_of("scheme", map(repr, SCHEMES))
+    scheme = section.get("scheme", str, "jacobi", schemes)
     if scheme not in SCHEMES:
-        raise section.wrong("scheme", " or ".join(map(repr, SCHEMES)), scheme)
+        raise section.wrong("scheme", schemes, scheme, nearest(scheme, SCHEMES))
     times = {
         name: section.number(name, None, "a number of seconds")
         for name in ("start_time", "stop_time", STEP_SIZE, "output_interval")
@@ -77,9 +78,8 @@ def _simulation(section: Section, folder: Path) -> Simulation:
 def _check_points(file: Section, points: Points, fixed: Mapping[str, Value]) -> None:
     if not points.names:
         received = "none of them"
-        raise UsageError.report(
-            file.where, expected="a table " + " or ".join(f"[{k}]" for k in KINDS), received=received
-        )
+        expected = one_of("table", (f"[{kind}]" for kind in KINDS))
+        raise UsageError.report(file.where, expected=expected, received=received)
     seen: set[str] = set(fixed)
     for name in points.names:
         if name in seen:
@@ -93,9 +93,9 @@ def _measures(section: Section, resolve: Callable[[str, Any], str]) -> Iterator[
     for name in section.entries:
         entry = section.section(name)
         entry.only([each.name for each in fields(Measure)])
-        take = entry.get("take", str, ..., f"one of {', '.join(TAKES)}")
+        take = entry.get("take", str, ..., one_of("measure", TAKES))
         if take not in TAKES:
-            raise entry.wrong("take", f"one of {', '.join(TAKES)}", take)
+            raise entry.wrong("take", one_of("measure", TAKES, take), take, nearest(take, TAKES))
         of, minus = entry.get("of", str, ..., "a signal"), entry.get("minus", str, None, "a signal")
         yield (
             name,

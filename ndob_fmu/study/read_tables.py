@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.cosim import Value
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, some_of
 from ndob_fmu.study.points import Range, Table, grid, latin_hypercube, listed, random
 from ndob_fmu.study.toml_file import Section
 
@@ -32,7 +32,7 @@ def read_tables(file: Section, seed: int) -> Iterator[Table]:
             columns = {name: _values(section, name, entry) for name, entry in flat(section.entries)}
             lengths = {name: len(values) for name, values in columns.items()}
             if kind == "list" and len(set(lengths.values())) > 1:
-                received = ", ".join(f"{count} for {name}" for name, count in lengths.items())
+                received = some_of(f"{count} for {name}" for name, count in lengths.items())
                 raise UsageError.report(section.where, expected="as many values for each name", received=received)
             runs *= math.prod(lengths.values()) if kind == "grid" else max(lengths.values())
             _check_runs(file, runs)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.cosim import open_system
 from ndob_fmu.cosim.picture import write_picture
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, some_of
 from ndob_fmu.results import SYSTEM_PICTURE, atomic_path, write_json
 from ndob_fmu.study.columns import FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
@@ -157,6 +157,6 @@ def _require_same(plan: Path, study: Study) -> None:
         raise UsageError.report(
             str(plan.parent),
             expected="an empty folder or the results of this very study",
-            received="those of a study that differs in " + (", ".join(changed) or "its values or its FMUs"),
+            received="those of a study that differs in " + (some_of(changed) if changed else "its values or its FMUs"),
             likely="the study file or an FMU has changed; --out names another folder",
         )

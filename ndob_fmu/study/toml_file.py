@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.errors import NdobError, UsageError, nearest, one_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -28,12 +27,8 @@ class Section:
         """Raise UsageError, naming the nearest one, for an entry that is not among ``known``."""
         for name in self.entries:
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
                 raise UsageError.report(
-                    self.where,
-                    expected=f"only {', '.join(known)}",
-                    received=repr(name),
-                    likely=f"did you mean {near[0]!r}?" if near else "",
+                    self.where, expected=one_of("entry", known, name), received=repr(name), likely=nearest(name, known)
                 )
 
     def get(self, name: str, kind: type | tuple[type, ...], default: Any, expected: str) -> Any:

@@ -18,7 +18,7 @@ from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
 from ndob_fmu.cosim.system import System
 from ndob_fmu.cosim.wiring import require_drivers
-from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.errors import NdobError, UsageError, some_of
 
 _Found = TypeVar("_Found")
 _MARKS = {True: "ok  ", False: "FAIL", None: "    "}
@@ -136,7 +136,7 @@ def _system(checks: _Checks, package: Package, archive: ZipFile, folder: str) ->
 
 
 def _with(parts: dict[str, Any]) -> tuple[dict[str, Any], str]:
-    return parts, f"{len(parts)} from {len({part.path for part in parts.values()})} FMUs: {', '.join(parts)}"
+    return parts, f"{len(parts)} from {len({part.path for part in parts.values()})} FMUs: {some_of(parts)}"
 
 
 def _driven(system: System | None) -> tuple[None, str]:
@@ -150,4 +150,4 @@ def _driven(system: System | None) -> tuple[None, str]:
 def _loops(system: System | None) -> tuple[None, str]:
     assert system is not None
     loops = [loop for loop in algebraic_loops(system, initial=True) if loop.declared]
-    return None, "; ".join(map(str, loops)) or "none that the FMUs declare"
+    return None, some_of(map(str, loops), between="; ") if loops else "none that the FMUs declare"

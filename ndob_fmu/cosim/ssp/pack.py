@@ -15,7 +15,7 @@ from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX, SSD_NAME, Element, child, parse
 from ndob_fmu.cosim.ssp.structure import components
 from ndob_fmu.cosim.start_values import with_start_values
-from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.errors import CouplingError, UsageError, one_of
 from ndob_fmu.results import atomic_path
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
@@ -40,7 +40,7 @@ def build_ssp(
     files = _descriptions(folder)
     if parameter_set is not None:
         if parameter_set not in parameter_sets(folder):
-            expected = f"one of {', '.join(parameter_sets(folder)) or 'none'}"
+            expected = one_of("parameter set", parameter_sets(folder), parameter_set)
             raise UsageError.report(f"parameter set of {name}", expected=expected, received=repr(parameter_set))
         files |= _descriptions(folder / parameter_set)
         name = f"{name}_{parameter_set}"

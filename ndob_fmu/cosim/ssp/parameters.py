@@ -12,7 +12,7 @@ from ndob_fmu.cosim.ssp.support import TYPES
 from ndob_fmu.cosim.ssp.units import Units, linear, read_units, suppressed, unit_of
 from ndob_fmu.cosim.system import Link, Port, System
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.errors import CouplingError, UsageError, one_of
 from ndob_fmu.units import Unit
 
 # A ParameterBinding or ParameterMapping → the root of what it binds, inside it or in a file of its own.
@@ -88,7 +88,7 @@ def _parameters(where: str, binding: Element, source: Source) -> Iterator[tuple[
         name, target = entry.get("source"), entry.get("target")
         if name not in known:
             raise CouplingError.report(
-                f"{where}, mapping to {target}", expected=f"one of {', '.join(known) or 'none'}", received=repr(name)
+                f"{where}, mapping to {target}", expected=one_of("parameter", known, name), received=repr(name)
             )
         factor, offset = linear(entry)
         converted = not suppressed(entry)

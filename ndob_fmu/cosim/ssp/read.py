@@ -24,7 +24,7 @@ from ndob_fmu.cosim.ssp.structure import Structure, components, read_structure
 from ndob_fmu.cosim.ssp.support import check_supported
 from ndob_fmu.cosim.ssp.units import Units, read_units
 from ndob_fmu.cosim.system import Port, System
-from ndob_fmu.errors import CouplingError
+from ndob_fmu.errors import CouplingError, some_of
 
 
 @contextmanager
@@ -96,7 +96,7 @@ class Package:
             raise CouplingError.report(
                 f"{self.path}, {where}",
                 expected=f"{name} in the package",
-                received=", ".join(there) or f"no {suffix} file",
+                received=some_of(there) if there else f"no {suffix} file",
             )
         return name
 

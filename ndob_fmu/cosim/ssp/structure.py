@@ -11,7 +11,7 @@ from ndob_fmu.cosim.ssp.schema import Element, children, local_name
 from ndob_fmu.cosim.ssp.support import TYPES, label
 from ndob_fmu.cosim.ssp.units import Units, linear, suppressed, unit_of
 from ndob_fmu.cosim.system import Connection, Link, Port
-from ndob_fmu.errors import CouplingError, NdobError
+from ndob_fmu.errors import CouplingError, NdobError, one_of, some_of
 from ndob_fmu.units import Unit
 
 _INWARDS = ("input", "parameter")
@@ -122,7 +122,7 @@ class Structure:
 
     def _ends(self, node: Node, unit: Unit, factor: float, offset: float, trail: tuple[Node, ...]) -> Iterator[End]:
         if node in trail:
-            names = " → ".join(map(str, (*trail, node)))
+            names = some_of(map(str, (*trail, node)), between=" → ")
             raise CouplingError.report(f"{self.where}, {names}", expected="a source", received="a circle of connectors")
         hops = self._hops.get(node, [])
         if trail and not hops and (node.owner in self.parts or node.owner == ""):
@@ -187,8 +187,8 @@ class Structure:
         if outgoing[1] is None:
             outgoing[1] = None if outgoing[0] is None else not outgoing[0]
         if outgoing[0] is None or outgoing[0] == outgoing[1]:
-            kinds = " and ".join(self.signal(node).kind for node, _ in ends)
-            raise self._error(connection, "a source and a target", kinds)
+            start, end = (self.signal(node).kind for node, _ in ends)
+            raise self._error(connection, "a source and a target", f"{start} and {end}")
         (source, _), (target, _) = ends if outgoing[0] else reversed(ends)
         if target in self._drivers:
             raise CouplingError.report(
@@ -208,8 +208,9 @@ class Structure:
         if owner in self.parts:
             return node, self.variable(Port(*node)).causality in ("output", "calculatedParameter")
         if node not in self.signals:
-            known = ", ".join(known.name for known in self.signals if known.owner == owner) or "none"
-            raise self._error(connection, f"one of the connectors {known} of {element or 'the system'}", repr(name))
+            known = [known.name for known in self.signals if known.owner == owner]
+            expected = f"{one_of('connector', known, name)} of {element or 'the system'}"
+            raise self._error(connection, expected, repr(name))
         kind = self.signals[node].kind
         if element in dictionaries:
             return node, None
@@ -275,7 +276,7 @@ def _walk(
             if wanted not in visible:
                 raise CouplingError.report(
                     f"{structure.where}, {label(element)}",
-                    expected=f"one of the signal dictionaries {', '.join(visible) or 'none'}",
+                    expected=one_of("signal dictionary", visible, wanted),
                     received=repr(wanted),
                 )
             references[name] = visible[wanted]
