@@ -268,7 +268,7 @@ TWO = component("one", "a> b> y<", bindings=values(k=1)), component("two", "a> b
         (elements(*TWO, '<ssd:System name="two"/>'), "element two: expected a new name"),
         (
             elements(*TWO, '<ssd:SignalDictionaryReference name="d" dictionary="bus"/>'),
-            "SignalDictionaryReference 'd': but there are no signal dictionaries, received 'bus'",
+            "but there are no signal dictionaries, received 'bus'",
         ),
         (
             ports("u>[kg]") + elements(component("one", "a>[m]", bindings=values(b=1))) + connections("u one.a"),
