@@ -26,7 +26,7 @@ from pythonfmu import (
 )
 from pythonfmu.enums import Fmi2Status
 
-from fmus.slave_guards import experiment_fault, failure, parameter_fault, step_fault, stop_fault
+from fmus.slave_guards import experiment_fault, failure, parameter_fault, printable, step_fault, stop_fault
 from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Snapshot, from_bytes, to_bytes
 from ndob_fmu.runtime.equations import Experiment
@@ -263,8 +263,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def log(self, msg: str, status: Fmi2Status) -> None:
         """Say it to the host, by the category of its status."""
-        # pythonfmu's binary never gives up the texts that it passes on: so equal ones should be one.
-        super().log(sys.intern(msg), status, sys.intern(f"logStatus{status.name.capitalize()}"))
+        # pythonfmu's binary passes the text on as a printf format, and does not survive one that has no UTF-8. It never
+        # gives up the texts, so equal ones should be one.
+        super().log(sys.intern(printable(msg)), status, sys.intern(f"logStatus{status.name.capitalize()}"))
 
     def _register(self, index: int, variable: Variable) -> None:
         output = variable.causality == "output"

@@ -10,6 +10,7 @@ from ndob_fmu.runtime.interface import Variable
 
 # What computing with impossible numbers raises; LinAlgError is a ValueError.
 _IMPOSSIBLE = (ArithmeticError, ValueError)
+_LONGEST_MESSAGE = 300
 # A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
 _TIME_TOLERANCE = 1e-3
 
@@ -22,6 +23,15 @@ def failure(where: str, error: Exception) -> NdobError:
     if isinstance(error, _IMPOSSIBLE):
         return NdobError.report(where, expected="numbers that can be computed with", received=received)
     return NdobError.report(where, expected="a result", received=received, likely="a defect of this FMU; report it")
+
+
+def printable(text: str) -> str:
+    """Return the text as any host's logger can take it: one line, UTF-8, at most 300 characters, as a printf format."""
+    line = " ".join(text.encode("utf-8", "backslashreplace").decode().split())
+    if len(line) > _LONGEST_MESSAGE:
+        half = (_LONGEST_MESSAGE - 1) // 2
+        line = f"{line[:half]}…{line[-half:]}"
+    return "".join(c if c.isprintable() else "?" for c in line).replace("%", "%%")
 
 
 def experiment_fault(start_time: float, stop_time: float | None) -> NdobError | None:

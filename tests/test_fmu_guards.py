@@ -11,6 +11,7 @@ import pytest
 import sympy
 from fmi_instance import DISCARD, ERROR, OK, opened
 
+from fmus.slave_guards import printable
 from ndob_fmu import Model, build, load_model
 from ndob_fmu.fmu import front
 
@@ -31,6 +32,15 @@ def host(request, flexible_joint, without_front):
     with opened(flexible_joint.observer if guarded else without_front[1]) as instance:
         instance.refusal = ERROR if guarded else OK
         yield instance
+
+
+@pytest.mark.parametrize("text", ["\ud800", "a\0b", "100%n%s", "two\nlines", "x" * 10**6, "ä €", "\x1b[31m\x85\u2028"])
+def test_any_message_is_one_short_line_of_utf_8_that_printf_prints(text):
+    message = printable(text)
+    assert message.encode()
+    assert (message % ()).isprintable()
+    assert len(message % ()) <= 300
+    assert printable("a plain one, with ä") == "a plain one, with ä"
 
 
 def test_nothing_is_said_when_all_is_well(host):

@@ -6,6 +6,7 @@ import ctypes
 import dataclasses
 import hashlib
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -97,7 +98,8 @@ with opened(sys.argv[1]) as one:
     done = subprocess.run(
         [sys.executable, "-c", program, str(flexible_joint.observer), str(tmp_path / "state")],
         cwd=Path(__file__).parent,
-        env={"PYTHONPATH": ":".join(filter(None, sys.path))},
+        # The same processor's kernels: others differ in the last bits.
+        env={"PYTHONPATH": ":".join(filter(None, sys.path))} | {k: v for k, v in os.environ.items() if "BLAS" in k},
         capture_output=True,
         text=True,
         check=True,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import itertools
 import os
 import shlex
 import shutil
@@ -9,9 +11,10 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from random import Random
 
 import pytest
-from clean_process import run_clean
+from clean_process import ENVIRONMENT, run_clean
 from native_host import unpack
 
 from ndob_fmu import build, load_model
@@ -46,6 +49,57 @@ def test_the_sources_compile_without_a_warning(compiler):
         text=True,
         check=False,
     )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# Each range that the rules of UTF-8 tell apart, by its first and last bytes.
+BYTES = bytes.fromhex("01 41 7f 80 8f 90 9f a0 bf c0 c1 c2 df e0 e1 ec ed ee ef f0 f1 f3 f4 f5 f8 ff")
+
+
+@pytest.fixture(scope="module")
+def is_utf8(tmp_path_factory):
+    """The front's own function, from bytes without NUL to bool."""
+    library = tmp_path_factory.mktemp("utf8") / "utf8.so"
+    command = [*shlex.split(os.environ.get("CC", "cc")), "-std=gnu11", "-O2", "-shared", "-fPIC", "-I"]
+    subprocess.run([*command, front.HEADERS, front.SOURCES / "utf8.c", "-o", library], check=True)
+    function = ctypes.CDLL(str(library)).is_utf8
+    function.restype = ctypes.c_bool
+    return function
+
+
+def decodes(data):
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def test_the_front_takes_exactly_the_bytes_that_pythons_strict_decoder_takes(is_utf8):
+    ends = [bytes(c) for length in (1, 2, 3, 4) for c in itertools.product(BYTES, repeat=length)]
+    pairs = [bytes(c) for c in itertools.product(range(1, 256), repeat=2)]
+    random = Random(1)
+    characters = [chr(random.randrange(1, 0x110000)).encode("utf-8", "surrogatepass") for _ in range(20_000)]
+    spoilt = [c[:i] + bytes([random.randrange(1, 256)]) + c[i + 1 :] for c in characters for i in range(len(c))]
+    assert [data for data in (*ends, *pairs, *characters, *spoilt) if is_utf8(data) != decodes(data)] == []
+
+
+def test_an_fmu_runs_from_a_folder_whose_name_the_hosts_python_does_not_decode_as_utf8(flexible_joint, tmp_path):
+    folder = tmp_path / "ä"
+    guid = unpack(flexible_joint.plant, folder, folder).guid
+    program = """
+import ctypes, os, sys, urllib.parse
+assert sys.getfilesystemencoding() == "ascii"
+folder = os.fsencode(sys.argv[1])
+library = ctypes.CDLL(os.fsdecode(folder + b"/binaries/linux64/FlexibleJointPlant.so"))
+library.fmi2Instantiate.restype = ctypes.c_void_p
+location = b"file://" + urllib.parse.quote_from_bytes(folder + b"/resources").encode()
+callbacks = (ctypes.c_void_p * 5)()
+assert library.fmi2Instantiate(b"one", 1, sys.argv[2].encode(), location, callbacks, 0, 0)
+"""
+    environment = ENVIRONMENT | {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "POSIX"}
+    command = [sys.executable, "-c", program, folder, guid]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 

@@ -44,6 +44,7 @@ class Library:
     """An unpacked FMU; `said` collects its messages: instance, status and text."""
 
     def __init__(self, folder: Path) -> None:
+        self.folder = folder
         root = ElementTree.parse(folder / "modelDescription.xml").getroot()
         self.guid = root.get("guid")
         self.name = root.find("CoSimulation").get("modelIdentifier")

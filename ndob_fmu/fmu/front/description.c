@@ -32,7 +32,9 @@ static void decode_percent(char *text) {
     for (const char *from = text; *from; from++, to++) {
         *to = *from;
         if (*from == '%' && isxdigit((unsigned char)from[1]) && isxdigit((unsigned char)from[2])) {
-            *to = (char)(digit(from[1]) * 16 + digit(from[2]));
+            int byte = digit(from[1]) * 16 + digit(from[2]);
+            if (!byte) continue; /* it would end the path */
+            *to = (char)byte;
             from += 2;
         }
     }

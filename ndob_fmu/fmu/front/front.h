@@ -51,6 +51,8 @@ bool python_is_the_hosts(void);
 /* Keep the calling thread's thread state from now on, instead of a new one for each call. */
 void python_keep_thread(void);
 void python_drop_thread(void);
+/* Whether Python gets from the folder's name in UTF-8 back to the same bytes, with which it opens files there. */
+bool python_finds(const char *folder);
 /* Take a folder from Python's path again; `reused` says that others may have its name later. */
 void python_forget_path(const char *folder, bool reused);
 /* Have Python handle the signals that it has noted, and keep what the handlers raise; have it raised in the host. */
@@ -86,8 +88,12 @@ void log_from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2S
                     fmi2String message, ...);
 /* Return the categories' bits, and in `unknown` the first name that is none. */
 unsigned log_categories(size_t count, const fmi2String names[], const char **unknown);
-/* The number of bytes of the first character of UTF-8, 0 if it is none. */
+
+/* -- utf8.c */
+
+/* The number of bytes of the first character of UTF-8, 0 if it is invalid. */
 size_t character(const char *text);
+bool is_utf8(const char *text);
 
 /* -- handles.c: names for objects that can be told from the names of freed ones */
 

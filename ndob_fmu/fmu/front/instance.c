@@ -62,12 +62,6 @@ static bool load_slave(char *reason, size_t size) {
     return slave.library != NULL;
 }
 
-static bool is_utf8(const char *text) {
-    for (size_t length; *text; text += length)
-        if (!(length = character(text))) return false;
-    return true;
-}
-
 static void discard(Instance *self) {
     description_free(&self->description);
     if (self->folder >= 0) close(self->folder);
@@ -75,11 +69,11 @@ static void discard(Instance *self) {
     free(self);
 }
 
-/* Return the location in the one form that pythonfmu reads; it would take a literal %20 for a space, and reads UTF-8. */
+/* Return the location in the one form that pythonfmu reads; it takes a literal %20 for a space, and decodes UTF-8. */
 static char *slave_location(Instance *self, const char *folder) {
     char *location = malloc(strlen(folder) + 64);
     if (!location) return NULL;
-    if (strstr(folder, "%20") || !is_utf8(folder)) {
+    if (strstr(folder, "%20") || !python_finds(folder)) {
         self->folder = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
         sprintf(location, FILE_SCHEME "/proc/self/fd/%d", self->folder);
     } else {

@@ -17,18 +17,6 @@ static const char *const CATEGORIES[] = {
     [fmi2Fatal] = "logStatusFatal",
 };
 
-size_t character(const char *text) {
-    const unsigned char *c = (const unsigned char *)text;
-    size_t length = *c < 0x80                 ? 1
-                    : *c >= 0xc2 && *c < 0xe0 ? 2
-                    : *c >= 0xe0 && *c < 0xf0 ? 3
-                    : *c >= 0xf0 && *c < 0xf5 ? 4
-                                              : 0;
-    for (size_t i = 1; i < length; i++)
-        if ((c[i] & 0xc0) != 0x80) return 0;
-    return length;
-}
-
 /* Make one line of UTF-8 of it, which is what a host can show. */
 static void one_line(char *text) {
     char *to = text;
@@ -43,19 +31,27 @@ static void one_line(char *text) {
     *to = '\0';
 }
 
+/* Return a format that prints the text, which may be such a format already (malloc). A host takes the text as a printf
+ * format, or does not: with doubled percent signs it reads well either way. */
+static char *printf_format(const char *text) {
+    char *format = malloc(2 * strlen(text) + 1);
+    char *to = format;
+    for (const char *from = text; format && *from; from++) {
+        *to++ = *from;
+        if (*from != '%') continue;
+        *to++ = '%';
+        if (from[1] == '%') from++;
+    }
+    if (format) *to = '\0';
+    return format;
+}
+
 static void send(Log *log, fmi2Status status, const char *category, const char *text) {
     if (!log->logger) return;
     bool wanted = status >= fmi2Discard || (log->on && (log->categories & (1u << status)));
     if (!wanted) return;
-    /* The host takes the text as a printf format, or does not: with doubled percent signs it reads well either way. */
-    char *format = malloc(2 * strlen(text) + 1);
+    char *format = printf_format(text);
     if (!format) return;
-    char *to = format;
-    for (const char *from = text; *from; from++) {
-        if (*from == '%') *to++ = '%';
-        *to++ = *from;
-    }
-    *to = '\0';
     one_line(format);
     log->logger(log->environment, log->name, status, category, format);
     free(format);

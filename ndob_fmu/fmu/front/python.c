@@ -59,6 +59,9 @@ typedef struct PyObject PyObject;
     F(PyObject *, PyObject_Str, (PyObject *)) \
     F(const char *, PyUnicode_AsUTF8AndSize, (PyObject *, ssize_t *)) \
     F(PyObject *, PyUnicode_DecodeFSDefault, (const char *)) \
+    F(PyObject *, PyUnicode_FromString, (const char *)) \
+    F(PyObject *, PyUnicode_EncodeFSDefault, (PyObject *)) \
+    F(char *, PyBytes_AsString, (PyObject *)) \
     F(PyObject *, PySys_GetObject, (const char *)) \
     F(int, PySequence_Contains, (PyObject *, PyObject *)) \
     F(int, PyList_Append, (PyObject *, PyObject *)) \
@@ -312,6 +315,18 @@ void python_drop_thread(void) {
     /* Counted down, not deleted: the host may have entered Python with it too. */
     py.PyEval_RestoreThread(state);
     py.PyGILState_Release(1 /* PyGILState_UNLOCKED */);
+}
+
+bool python_finds(const char *folder) {
+    int state = py.PyGILState_Ensure();
+    PyObject *name = py.PyUnicode_FromString(folder);
+    PyObject *bytes = name ? py.PyUnicode_EncodeFSDefault(name) : NULL;
+    bool same = bytes && strcmp(py.PyBytes_AsString(bytes), folder) == 0;
+    if (bytes) py.Py_DecRef(bytes);
+    if (name) py.Py_DecRef(name);
+    py.PyErr_Clear();
+    py.PyGILState_Release(state);
+    return same;
 }
 
 void python_forget_path(const char *folder, bool reused) {

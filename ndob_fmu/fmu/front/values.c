@@ -52,6 +52,19 @@ static bool settable(Instance *self, const char *function, const fmi2ValueRefere
     return true;
 }
 
+/* What pythonfmu can hand to Python: texts that are there and in UTF-8. */
+static bool texts(Instance *self, const char *function, const fmi2ValueReference references[], size_t count,
+                  const void *values, char type) {
+    const fmi2String *strings = values;
+    for (size_t i = 0; type == 'S' && i < count; i++) {
+        if (strings[i] && is_utf8(strings[i])) continue;
+        log_line(&self->log, fmi2Error, "%s: %s: expected a text in UTF-8, received %s", function,
+                 self->description.variables[references[i]].name, strings[i] ? "other bytes" : "NULL");
+        return false;
+    }
+    return true;
+}
+
 #define SETTABLE_MODES ((unsigned)(INSTANTIATED | INITIALIZATION | STEPPING))
 
 #define ACCESS(Name, TYPE) \
@@ -68,7 +81,8 @@ static bool settable(Instance *self, const char *function, const fmi2ValueRefere
         Instance *self = enter(component, __func__, SETTABLE_MODES); \
         if (!self) return fmi2Error; \
         if (!count) return leave(self, fmi2OK); \
-        if (!present(self, __func__, references, count, values, TYPE) || !settable(self, __func__, references, count)) \
+        if (!present(self, __func__, references, count, values, TYPE) || !settable(self, __func__, references, count) \
+            || !texts(self, __func__, references, count, values, TYPE)) \
             return leave(self, fmi2Error); \
         return leave(self, judged(self, slave.Set##Name(self->slave, references, count, values))); \
     }
