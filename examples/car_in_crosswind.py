@@ -16,8 +16,7 @@ force, some tenths of a kN, and the moment, some tenths of a kN·m, are numbers 
 
 import sympy
 
-from ndob_fmu.model import Model
-from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
 
 V, M, I_z = sympy.symbols("speed mass yaw_inertia")
 

@@ -13,8 +13,7 @@ a rate of 200 1/s. The observer's rate (√pi_end / inertia)^½ = 1000 1/s is ch
 
 import sympy
 
-from ndob_fmu.model import Model
-from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
 
 J, b, K, R, L = sympy.symbols("inertia viscous_damping torque_constant resistance inductance")
 

@@ -13,8 +13,7 @@ outputs than unknown inputs, and no zeros. Levels in cm, flows in cm³/s, rates 
 
 import sympy
 
-from ndob_fmu.model import Model
-from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
 
 S, k = sympy.symbols("area coupling")
 

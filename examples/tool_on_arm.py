@@ -18,8 +18,7 @@ the longest lever arms; an elbow that turns at up to 5 rad/s turns the direction
 
 import sympy
 
-from ndob_fmu.model import Model
-from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults
+from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
 
 J1, J2, b1, b2 = sympy.symbols("shoulder_inertia elbow_inertia shoulder_damping elbow_damping")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -115,16 +116,51 @@ def test_units_with_an_offset_are_converted_as_the_components_define_them():
     np.testing.assert_allclose(simulate(system, stop_time=2.0, step_size=1.0)["stove.y"], 298.15)
 
 
-def test_systems_grow_step_by_step_and_are_values():
-    one = System().add("a", integrator(), {"u": 1.0})
-    two = one.add("b", integrator(), step_ratio=2).connect("a.y", "b.u")
-    assert list(one.components) == ["a"]
-    assert two.step_ratios == {"b": 2}
+def in_place(system):
+    system.add("a", integrator(), {"u": 1.0})
+    system.add("b", integrator(), step_ratio=2)
+    system.connect("a.y", "b.u")
+    system.expose("end", "b.y")
+    return system
+
+
+@pytest.mark.parametrize(
+    "grow",
+    [
+        in_place,
+        lambda s: s.add("a", integrator(), {"u": 1.0}).add("b", integrator(), step_ratio=2).connect("a.y", "b.u"),
+    ],
+)
+def test_a_system_grows_by_calls_on_lines_of_their_own_and_by_chained_ones(grow):
+    system = grow(System())
+    assert system.step_ratios == {"b": 2}
     by_hand = System({"a": integrator(), "b": integrator()}, ((("a", "y"), ("b", "u")),), {("a", "u"): 1.0}, {"b": 2})
     run = {"stop_time": 4.0, "step_size": 1.0}
-    np.testing.assert_array_equal(simulate(two, **run).columns, simulate(by_hand, **run).columns)
-    with pytest.raises(CouplingError, match="component a: expected a new name"):
-        two.add("a", integrator())
+    for name in ("a.y", "b.y"):
+        np.testing.assert_array_equal(simulate(system, **run)[name], simulate(by_hand, **run)[name])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: s.add("a", integrator()), "component a: expected a new name"),
+        (lambda s: s.add("c", integrator(), {"nonsense": 1.0}), "variable of c"),
+        (lambda s: s.connect("a.y", "b.u"), "exactly one driver"),
+        (lambda s: s.expose("u", "b.u"), "exactly one driver"),
+    ],
+)
+def test_a_call_that_is_refused_leaves_the_system_as_it_was(call, message):
+    system = in_place(System())
+    before = dict(vars(system))
+    with pytest.raises(CouplingError, match=message):
+        call(system)
+    assert vars(system) == before
+
+
+def test_a_copy_of_a_system_grows_on_its_own():
+    system = in_place(System())
+    copy.copy(system).add("c", integrator())
+    assert list(system.components) == ["a", "b"]
 
 
 def test_a_name_at_the_boundary_sets_all_inputs_behind_it_and_records_an_output(tmp_path):

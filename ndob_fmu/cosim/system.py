@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.experiment import Experiment
@@ -64,7 +64,8 @@ class System:
     inputs: names at the system's boundary → the inputs and parameters that a start value or a column of the input file
     of that name sets; outputs: further names that outputs are recorded under.
 
-    ``add``, ``connect`` and ``expose`` return a new system with one thing more, ``write`` makes a package of it:
+    ``add``, ``connect`` and ``expose`` extend the system in place and return it, so that the calls can also be chained.
+    A call that raises leaves the system as it was. ``copy.copy`` makes an independent variant. ``write`` makes a package:
 
         System().add("plant", "Plant.fmu").add("observer", "Observer.fmu").connect("plant.y", "observer.y")
 
@@ -102,7 +103,7 @@ class System:
         *,
         step_ratio: int = 1,
     ) -> System:
-        """Return the system with one component more, given as such or by the path of its FMU.
+        """Add a component, given as such or by the path of its FMU, and return the system.
 
         parameters: start values of its parameters and of the inputs that nothing will drive. step_ratio: its step in
         communication steps. Raises CouplingError if there is a component of that name already.
@@ -111,27 +112,26 @@ class System:
             raise CouplingError.report(f"component {name}", expected="a new name", received="one that is taken")
         if isinstance(component, str | Path):
             component = FmuComponent(component, name)
-        return replace(
-            self,
+        return self._extend(
             components={**self.components, name: component},
             start_values={**self.start_values, **{Port(name, key): value for key, value in (parameters or {}).items()}},
             step_ratios=self.step_ratios if step_ratio == 1 else {**self.step_ratios, name: step_ratio},
         )
 
     def connect(self, source: str, target: str, *, factor: float = 1.0, offset: float = 0.0) -> System:
-        """Return the system with one connection more, between ports named ``component.variable``.
+        """Connect two ports named ``component.variable``, and return the system.
 
         The target receives factor · source + offset, with the source converted to the target's unit before.
         """
         connection = Connection(self.port(source), self.port(target), factor, offset)
-        return replace(self, connections=(*self.connections, connection))
+        return self._extend(connections=(*self.connections, connection))
 
     def expose(self, name: str, *ports: str) -> System:
-        """Return the system with a name at its boundary for one output, or for inputs and parameters set together."""
+        """Name one output, or inputs and parameters that are set together, at the boundary, and return the system."""
         found = [self.port(port) for port in ports]
         if len(found) == 1 and self.variable(found[0]).causality == "output":
-            return replace(self, outputs={**self.outputs, name: Link(found[0])})
-        return replace(self, inputs={**self.inputs, name: tuple(Link(port) for port in found)})
+            return self._extend(outputs={**self.outputs, name: Link(found[0])})
+        return self._extend(inputs={**self.inputs, name: tuple(Link(port) for port in found)})
 
     def write(
         self,
@@ -206,6 +206,12 @@ class System:
                 likely=f"did you mean {whole[0]!r}?" if whole else "",
             )
         return found
+
+    def _extend(self, **changes: Any) -> System:
+        extended = replace(self, **changes)  # raises for what contradicts itself, before anything is changed
+        for name, value in vars(extended).items():
+            object.__setattr__(self, name, value)
+        return self
 
     def _connection(
         self, start: Port, end: Port, factor: float = 1.0, offset: float = 0.0, convert_units: bool = True
