@@ -40,7 +40,7 @@ def shortest_direction(model: Model, parameters: Mapping[str, float] | None = No
         zip((model.symbols[name] for name in model.parameters), model.parameter_values(parameters), strict=True)
     )
     entries = sympy.lambdify(
-        [[model.symbols[name] for name in names], list(values)], list(expressions), modules="numpy"
+        [[model.symbols[name] for name in names], list(values)], list(expressions), modules="numpy", dummify=True
     )
     bound = np.array(model.channel_bound, dtype=float)
 

@@ -112,8 +112,8 @@ def _function(
     for argument, symbols in arguments:
         for i, symbol in enumerate(symbols):
             if symbol in used:
-                lines.append(f"    {symbol.name} = {argument}[{i}]")
-    lines += [f"    {symbol.name} = {python_text(expression)}" for symbol, expression in shared]
+                lines.append(f"    {python_text(symbol)} = {argument}[{i}]")
+    lines += [f"    {python_text(symbol)} = {python_text(expression)}" for symbol, expression in shared]
     texts = [python_text(expression) for expression in reduced]
     if shapes is None:
         lines.append(f"    return {tuple_text(texts)}")

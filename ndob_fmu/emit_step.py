@@ -65,7 +65,7 @@ def _functions(part: str, rhs: RightHandSide, p: Symbols, arguments: str, step: 
     shared, values = sympy.cse(values, symbols=temporaries, list=True) if values else ([], [])
     needed = set().union(*(value.free_symbols for _, value in constants))
     of_parameters = [
-        *(f"{symbol} = _p[{i}]" for i, symbol in enumerate(p) if symbol in needed),
+        *(f"{python_text(symbol)} = _p[{i}]" for i, symbol in enumerate(p) if symbol in needed),
         *_assigned(shared),
         f"return {tuple_text(map(python_text, values))}",
     ]
@@ -136,7 +136,10 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         *(
             line
             for symbol in u
-            for line in (f"if not {-float_info.max!r} <= {symbol} <= {float_info.max!r}:", "    return None")
+            for line in (
+                f"if not {-float_info.max!r} <= {python_text(symbol)} <= {float_info.max!r}:",
+                "    return None",
+            )
         ),
         *_assigned(update.corrected),
         f"_at = {_values([*rhs.x, *delta])}",
@@ -160,7 +163,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         f"    _norm = {_error_norm(tried.judged)}",
         "    if _norm <= 1.0:",
         "        if _h == _left:",
-        f"            if not math.isfinite({' + '.join(map(str, tried.x_after))}):",
+        f"            if not math.isfinite({' + '.join(map(python_text, tried.x_after))}):",
         "                return None",
         "            break",
         *_indented(_indented(_assigned(moved))),
@@ -173,7 +176,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         "    if _h >= _left * _ALMOST:",
         "        _h = _left",
         *_assigned(moved),
-        f"_outputs = {tuple_text([*map(str, [*rhs.x, *d_1, *d_at, *d_std, *e]), 'True'])}",
+        f"_outputs = {tuple_text([*map(python_text, [*rhs.x, *d_1, *d_at, *d_std, *e]), 'True'])}",
         f"return {_values([*rhs.x, *delta])}, _outputs, _at, {_values(e)}, {_values(u)}, {_values(d_1)}",
     ]
 
@@ -187,11 +190,11 @@ def _indented(lines: Iterable[str]) -> list[str]:
 
 
 def _assigned(assignments: Iterable[tuple[sympy.Symbol, sympy.Expr]]) -> list[str]:
-    return [f"{symbol} = {python_text(value)}" for symbol, value in assignments if symbol != value]
+    return [f"{python_text(symbol)} = {python_text(value)}" for symbol, value in assignments if symbol != value]
 
 
 def _unpacked(names: Symbols, argument: str) -> list[str]:
-    return [f"{tuple_text(map(str, names))} = {argument}"] if names else []
+    return [f"{_values(names)} = {argument}"] if names else []
 
 
 def _values(expressions: Iterable[sympy.Expr]) -> str:

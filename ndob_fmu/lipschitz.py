@@ -90,7 +90,9 @@ def _norms(model: Model, names: list[str], parameters: tuple[float, ...]) -> Cal
     """Return the function that maps points (N, len(names)) to spectral norms (N,), infinite where not defined."""
     values = dict(zip((model.symbols[name] for name in model.parameters), parameters, strict=True))
     jacobian = model.jacobian
-    entries = sympy.lambdify([[model.symbols[name] for name in names], list(values)], list(jacobian), modules="numpy")
+    entries = sympy.lambdify(
+        [[model.symbols[name] for name in names], list(values)], list(jacobian), modules="numpy", dummify=True
+    )
 
     def norms(points: Array) -> Array:
         with np.errstate(all="ignore"):

@@ -7,7 +7,6 @@ With a channel (docs/state_dependent_channel.md): n(x, u) d in place of d, for o
 
 from __future__ import annotations
 
-import builtins
 import keyword
 import math
 import re
@@ -257,7 +256,7 @@ class Model:
         if value is None and 0 in shape:
             return sympy.ImmutableMatrix.zeros(*shape)
         try:
-            matrix = sympy.ImmutableMatrix(value if value is not None else [])
+            matrix = sympy.ImmutableMatrix(self._parsed(value) if value is not None else [])
         except (TypeError, ValueError, sympy.SympifyError) as error:
             raise ModelError.report(
                 f"{self.name}.{label}", expected=f"a {shape} matrix", received=f"{value!r} ({_one_line(error)})"
@@ -271,10 +270,19 @@ class Model:
             )
         return matrix.applyfunc(lambda entry: self._own_symbols(label, entry, self.parameters))
 
+    def _parsed(self, value: Any) -> Any:
+        """Return lists with each text in them as an expression, in which the model's names mean the model's symbols.
+
+        By itself SymPy takes the text "E" for 2.718… and "beta" for a function.
+        """
+        if isinstance(value, str):
+            return sympy.sympify(value, locals=dict(self.symbols))
+        return [self._parsed(entry) for entry in value] if isinstance(value, list | tuple) else value
+
     def _own_symbols(self, label: str, expression: Any, allowed: Iterable[str]) -> sympy.Expr:
         """Replace the user's symbols by the model's real ones of the same name; refuse any other symbol."""
         known = set(allowed)
-        expression = sympy.sympify(expression)
+        expression = sympy.sympify(self._parsed(expression))
         if not isinstance(expression, sympy.Expr) or expression.has(sympy.I):
             raise ModelError.report(
                 f"{self.name}.{label}", expected="real numbers or SymPy expressions", received=str(expression)
@@ -377,14 +385,14 @@ def _is_finite_number(value: Any) -> bool:
 
 
 def _require_identifier(where: str, name: Any) -> None:
-    # The names become local variables of the generated functions, whose own begin with an underscore.
     plain = isinstance(name, str) and name.isidentifier() and name.isascii() and not name.startswith("_")
-    if not plain or keyword.iskeyword(name) or hasattr(builtins, name) or name == "math":
+    if not plain or keyword.iskeyword(name):
         raise ModelError.report(
             where,
-            expected="names that start with a letter, of ASCII letters, digits and underscores, and that Python does "
-            "not use itself",
+            expected="a name of ASCII letters, digits and underscores that starts with a letter and is no keyword of "
+            "Python",
             received=repr(name),
+            likely=f"x.{name} cannot be written in Python; {name}_ can" if plain else "",
         )
 
 

@@ -11,7 +11,14 @@ from ndob_fmu.errors import ModelError
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
-    """Python text that evaluates to the very numbers of the model: SymPy's own keeps 15 digits of a float."""
+    """Python text that evaluates to the very numbers of the model: SymPy's own keeps 15 digits of a float.
+
+    The model's names get an underscore behind them; those of the generated text begin with one.
+    """
+
+    def _print_Symbol(self, symbol: sympy.Symbol) -> str:
+        # Names of Python do not end like this, so that a state `id` or `abs` hides nothing that the text uses.
+        return str(symbol.name if symbol.name.startswith("_") else f"{symbol.name}_")
 
     def _print_Float(self, number: sympy.Float) -> str:
         return repr(float(number))

@@ -212,7 +212,7 @@ def test_a_name_that_is_used_twice_is_refused_with_both_places(changes, says):
     assert says in refused(**changes)
 
 
-@pytest.mark.parametrize("name", ["two words", "1st", "_a", "lambda", "sum", "größe", "a.b", "", 3])
+@pytest.mark.parametrize("name", ["two words", "1st", "_a", "lambda", "größe", "a.b", "", 3])
 def test_names_must_serve_as_variables_in_the_code_that_is_written(name):
     assert f"received {name!r}" in refused(states=["a", "b", "c", name])
     assert f"received {name!r}" in refused(name=name)

@@ -65,7 +65,7 @@ class System:
     of that name sets; outputs: further names that outputs are recorded under.
 
     ``add``, ``connect`` and ``expose`` extend the system in place and return it, so that the calls can also be chained.
-    A call that raises leaves the system as it was. ``copy.copy`` makes an independent variant. ``write`` makes a package:
+    A call that raises leaves the system as it was. ``copy.copy`` makes an independent variant, ``write`` a package:
 
         System().add("plant", "Plant.fmu").add("observer", "Observer.fmu").connect("plant.y", "observer.y")
 
