@@ -53,7 +53,7 @@ def _description() -> str:
     <ssd:Elements>
       {_joint("a")}
       {_joint("b")}
-      <ssd:Component name="spring" source="resources/TorsionSpring.fmu">
+      <ssd:Component name="spring" source="resources/spring_TorsionSpring.fmu">
         <ssd:Connectors>
           {_connectors({n: ("output" if "torque" in n else "input", unit) for n, unit in _WIRES.items()})}
         </ssd:Connectors>
@@ -94,11 +94,11 @@ def _joint(joint: str) -> str:
     return f"""<ssd:System name="joint_{joint}">
         <ssd:Connectors>{_connectors(estimate)}</ssd:Connectors>
         <ssd:Elements>
-          <ssd:Component name="plant" source="resources/FlexibleJointPlant.fmu">
+          <ssd:Component name="plant" source="resources/joint_{joint}_plant_FlexibleJointPlant.fmu">
             <ssd:Connectors>{_connectors({"load_torque": ("input", "N.m"), **angles})}</ssd:Connectors>
             {_bound("plant")}
           </ssd:Component>
-          <ssd:Component name="observer" source="resources/FlexibleJointObserver.fmu">
+          <ssd:Component name="observer" source="resources/joint_{joint}_observer_FlexibleJointObserver.fmu">
             <ssd:Connectors>{_connectors({**measured, **estimate})}</ssd:Connectors>
             {_bound("observer")}
           </ssd:Component>

@@ -41,6 +41,21 @@ def test_every_system_and_every_parameter_set_is_built(shipped):
     assert {*PORTABLE, *VARIANTS, "disturbance_rejection_full"} < names
 
 
+def test_no_file_of_a_package_has_the_name_of_another(shipped):
+    """OMSimulator and fmu-manipulation-toolbox unpack all FMUs into one folder, by file name."""
+    for path in shipped.systems.glob("*.ssp"):
+        with zipfile.ZipFile(path) as package:
+            files = [entry.rsplit("/", 1)[-1].lower() for entry in package.namelist()]
+            components = re.findall(r'Component name="(\w+)" source="resources/(\w+)\.fmu"', _description(package))
+        assert len({*files}) == len(files), path.name
+        assert len({source for _, source in components}) == sum(file.endswith(".fmu") for file in files)
+        assert all(f"{name}_" in source for name, source in components)
+
+
+def _description(package):
+    return package.read("SystemStructure.ssd").decode()
+
+
 def test_every_package_passes_all_checks(shipped):
     for path in shipped.systems.glob("*.ssp"):
         report = check_ssp(path)
@@ -177,7 +192,7 @@ def test_a_shared_parameter_is_said_once(shipped):
 
 
 def test_the_full_form_of_the_joints_is_the_portable_one_in_two_systems(shipped):
-    """Nested systems, a signal dictionary, a mapping, and FMUs with several instances."""
+    """Nested systems, a signal dictionary and a mapping."""
     full, portable = (simulate(shipped.systems / f"two_joints{suffix}.ssp", stop_time=0.2) for suffix in ("_full", ""))
     for name in portable.names:
         part, variable = name.split(".")
@@ -185,5 +200,3 @@ def test_the_full_form_of_the_joints_is_the_portable_one_in_two_systems(shipped)
         nested = f"joint_{joint}.{kind}.{variable}" if joint else name
         np.testing.assert_array_equal(full[nested], portable[name], err_msg=nested)
     np.testing.assert_array_equal(full["load_torque_hat_a"], portable["observer_a.load_torque_hat"])
-    with zipfile.ZipFile(shipped.systems / "two_joints_full.ssp") as package:
-        assert sum(name.endswith(".fmu") for name in package.namelist()) == 3

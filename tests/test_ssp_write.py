@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 
 import numpy as np
@@ -47,13 +48,33 @@ def test_the_same_system_gives_the_same_bytes(fmus, tmp_path):
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_an_fmu_that_several_components_use_lies_there_for_each(fmus, tmp_path):
+def test_every_component_has_an_fmu_of_its_own_named_after_both(fmus, tmp_path):
     system = System().add("gain", fmus / "Gain.fmu", {"a": 0.0, "b": 0.0})
     for name in ("one", "two"):
         system = system.add(name, fmus / "Integrator.fmu", {"u": 1.0})
     with zipfile.ZipFile(system.write(tmp_path / "s.ssp")) as package:
         names = [name for name in package.namelist() if name.endswith(".fmu")]
-    assert names == [f"resources/{name}.fmu" for name in ("Gain", "one/Integrator", "two/Integrator")]
+    assert names == [f"resources/{name}.fmu" for name in ("gain_Gain", "one_Integrator", "two_Integrator")]
+
+
+LIKE_NAMES = ("a/b", "a?b", "A:B", "a_b_Integrator", "ä", "Ä", "nul", "x" * 300, "x" * 301, "s.boundary", "../up")
+
+
+def test_no_file_overwrites_another_where_a_package_is_unpacked_by_file_name(fmus, tmp_path):
+    """Into one folder, as OMSimulator and fmu-manipulation-toolbox do, also where a file system ignores case."""
+    system = System()
+    for number, name in enumerate(LIKE_NAMES):
+        system = system.add(name, fmus / "Integrator.fmu", {"u": float(number)})
+    system = system.expose("u", "a/b.u")
+    path = system.write(tmp_path / "s.ssp")
+    with zipfile.ZipFile(path) as package:
+        names = [name.rsplit("/", 1)[-1] for name in package.namelist()]
+    # a description, the values of the name at the boundary, and for each component an FMU and values but where "u" is
+    assert len({name.lower() for name in names}) == len(names) == 2 * len(LIKE_NAMES) + 1
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]{1,120}", name) for name in names)
+    assert not {"nul.ssv", "NUL.ssv"} & {*names}
+    with open_ssp(path) as (read, _):
+        assert read.start_values == system.start_values
 
 
 def test_start_values_lie_in_the_fmus_too_for_tools_that_read_no_parameters(shipped, tmp_path):
@@ -65,7 +86,7 @@ def test_start_values_lie_in_the_fmus_too_for_tools_that_read_no_parameters(ship
     with zipfile.ZipFile(path) as package:
         package.extractall(tmp_path / "out")
     for seed in (1, 2):
-        fmu = tmp_path / "out" / "resources" / f"encoder{seed}" / "Encoder.fmu"
+        fmu = tmp_path / "out" / "resources" / f"encoder{seed}_Encoder.fmu"
         starts = {variable.name: variable.start for variable in FmuComponent(fmu).variables}
         assert [starts[name] for name in ("angle", "seed", "between_samples", "sample_time")] == [0.5, seed, 2, 0.25]
 

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 from ndob_fmu.cosim.archive import open_archive
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.ssp.experiment import read_experiment
+from ndob_fmu.cosim.ssp.names import plain
 from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX, SSD_NAME, Element, child, parse
 from ndob_fmu.cosim.ssp.structure import components
@@ -28,8 +29,9 @@ def build_ssp(
 
     parameter_set: a folder inside, whose files replace those beside it; its name goes to that of the package.
 
-    The FMUs are those the .ssd names, taken from ``fmu_dir``; those of this package get the start values of the system,
-    for tools that do not read them. The same files give the same bytes. Raises UsageError if the folder has no .ssd or
+    The FMUs are those the .ssd names, taken from ``fmu_dir``: ``resources/plant_Arm.fmu`` of the component ``plant`` is
+    Arm.fmu there, unless there is a plant_Arm.fmu. FMUs that were built by this package get the start values of the
+    system, for tools that do not read them. The same files give the same bytes. Raises UsageError if the folder has no .ssd or
     the package cannot be written, CouplingError if an FMU is missing or the system is none that could be run.
     """
     folder, fmu_dir = Path(folder), Path(fmu_dir)
@@ -44,8 +46,10 @@ def build_ssp(
             raise UsageError.report(f"parameter set of {name}", expected=expected, received=repr(parameter_set))
         files |= _descriptions(folder / parameter_set)
         name = f"{name}_{parameter_set}"
-    for source in _sources(parse(str(description), files[SSD_NAME], "SystemStructureDescription")).values():
+    for component, source in _sources(parse(str(description), files[SSD_NAME], "SystemStructureDescription")).items():
         fmu = fmu_dir / Path(source).name
+        if not fmu.is_file():
+            fmu = fmu_dir / fmu.name.removeprefix(f"{plain(component)}_")
         if not fmu.is_file():
             raise CouplingError.report(
                 str(description), expected=f"{fmu.name} in {fmu_dir}", received="no such file", likely="not built yet"

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from urllib.parse import quote
 
 from ndob_fmu.cosim.component import Value, Variable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.ssp import markup
 from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
+from ndob_fmu.cosim.ssp.names import FileNames
 from ndob_fmu.cosim.ssp.pack import write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.system import Link, Port, System
@@ -32,7 +32,7 @@ def write_ssp(system: System, path: Path, experiment: Experiment, parameter_set:
         raise UsageError.report(str(path), expected="the path of an .ssp", received=repr(path.suffix))
     files = describe(system, path.stem, experiment, parameter_set, description)
     fmus = _fmus(system)
-    return write_package(path, files | {_entry(fmus, name): fmu.read_bytes() for name, fmu in fmus.items()})
+    return write_package(path, files | {entry: fmus[name].read_bytes() for name, entry in _entries(fmus).items()})
 
 
 def describe(
@@ -58,14 +58,13 @@ def _fmus(system: System) -> dict[str, Path]:
     return found
 
 
-def _entry(fmus: Mapping[str, Path], name: str) -> str:
-    """Return the name that a component's FMU has in the package.
+def _entries(fmus: Mapping[str, Path]) -> dict[str, str]:
+    """Return the name that each component's FMU has in the package.
 
-    One that several components use lies there once for each, so that each can have start values of its own in it.
+    Each component has a file of its own, which can have start values of its own.
     """
-    file = fmus[name].name
-    alone = sum(other.name == file for other in fmus.values()) == 1
-    return f"resources/{file}" if alone else f"resources/{name}/{file}"
+    names = FileNames()
+    return {name: f"resources/{names.new(f'{name}_{fmu.stem}', '.fmu')}" for name, fmu in fmus.items()}
 
 
 class _Writer:
@@ -75,13 +74,13 @@ class _Writer:
         self._system = system
         self._name = name
         self._set = parameter_set
+        self._names = FileNames()
         self._files: dict[str, Element] = {}
         self._units: dict[str, BaseUnit] = {}
 
     def files(self, experiment: Experiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
         """Return the texts of all files."""
         system = self._system
-        fmus = _fmus(system)
         prefixes = ("ssd", "ssc", "ssv", "ssm", *TOOLS)
         root = markup.root("ssd:SystemStructureDescription", *prefixes, version="1.0", name=self._name)
         if description:
@@ -89,13 +88,13 @@ class _Writer:
         top = add(root, "ssd:System", name=self._name)
         self._boundary(top)
         elements = add(top, "ssd:Elements")
-        for name in fmus:
+        for name, entry in _entries(_fmus(system)).items():
             values = {
                 port.variable: value
                 for port, value in system.start_values.items()
                 if port.component == name and port not in exposed
             }
-            self._component(elements, name, quote(_entry(fmus, name)), values, experiment.step_size)
+            self._component(elements, name, entry, values, experiment.step_size)
         self._connections(top)
         if experiment.step_size is not None:
             information = annotate(top, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
@@ -126,7 +125,7 @@ class _Writer:
         self._connectors(element, [(v.name, v.causality, v) for v in variables])
         if values:
             set_of = {variable: (system.variable(Port(name, variable)), value) for variable, value in values.items()}
-            self._bind(element, self._parameter_set(f"{name}.ssv", set_of))
+            self._bind(element, self._parameter_set(name, ".ssv", set_of))
         ratio = system.step_ratios.get(name, 1)
         if ratio > 1:
             if step_size is None:
@@ -152,10 +151,10 @@ class _Writer:
         kinds += [(name, "output", self._seen(link)) for name, link in system.outputs.items()]
         self._connectors(top, kinds)
         if plain:
-            self._bind(top, self._parameter_set(f"{self._name}.boundary.ssv", plain))
+            self._bind(top, self._parameter_set(self._name, ".boundary.ssv", plain))
         if shared:
-            binding = self._bind(top, self._parameter_set(f"{self._name}.parameters.ssv", shared))
-            add(binding, "ssd:ParameterMapping", source=self._mapping(f"{self._name}.parameters.ssm", shared))
+            binding = self._bind(top, self._parameter_set(self._name, ".parameters.ssv", shared))
+            add(binding, "ssd:ParameterMapping", source=self._mapping(shared))
 
     def _is_mapped(self, links: Iterable[Link]) -> bool:
         """Whether a name at the boundary is one parameter for several: a mapping then says so, no connector."""
@@ -182,14 +181,13 @@ class _Writer:
                 )
         return self._seen(first), value
 
-    def _mapping(self, file: str, shared: Iterable[str]) -> str:
+    def _mapping(self, shared: Iterable[str]) -> str:
         root = markup.root("ssm:ParameterMapping", "ssm", "ssc", version="1.0")
         for name in shared:
             for link in self._system.inputs[name]:
                 entry = add(root, "ssm:MappingEntry", source=name, target=str(link.port))
                 _transform(entry, link.factor, link.offset)
-        self._files[file] = root
-        return file
+        return self._file(self._name, ".parameters.ssm", root)
 
     def _connectors(self, element: Element, kinds: Iterable[tuple[str, str, Variable]]) -> None:
         kinds = list(kinds)
@@ -200,7 +198,7 @@ class _Writer:
             if variable.type == "Real" and self._define(variable, self._units):
                 typed.set("unit", variable.unit)
 
-    def _parameter_set(self, file: str, values: Mapping[str, tuple[Variable, Value]]) -> str:
+    def _parameter_set(self, stem: str, suffix: str, values: Mapping[str, tuple[Variable, Value]]) -> str:
         root = markup.root("ssv:ParameterSet", "ssv", "ssc", version="1.0", name=self._set)
         parameters, units = add(root, "ssv:Parameters"), dict[str, BaseUnit]()
         for name, (variable, value) in values.items():
@@ -212,6 +210,10 @@ class _Writer:
             if variable.type == "Real" and self._define(variable, units):
                 typed.set("unit", variable.unit)
         define_units(root, "ssv:Units", units)
+        return self._file(stem, suffix, root)
+
+    def _file(self, stem: str, suffix: str, root: Element) -> str:
+        file = self._names.new(stem, suffix)
         self._files[file] = root
         return file
 
