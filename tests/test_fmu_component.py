@@ -233,7 +233,7 @@ def test_units_of_the_model_description_are_checked(fmus, tmp_path):
     [
         ('fmiVersion="2.0"', 'fmiVersion="3.0"', CouplingError, ["FMI 2.0 co-simulation", "FMI 3.0"]),
         ("CoSimulation", "ModelExchange", CouplingError, ["FMI 2.0 co-simulation", "model exchange only"]),
-        ("<ModelVariables>", "<ModelVariables", CouplingError, ["readable modelDescription.xml"]),
+        ("<ModelVariables>", "<ModelVariables", CouplingError, ["modelDescription.xml: expected well-formed XML"]),
         ("", None, CouplingError, ["without modelDescription.xml"]),
     ],
 )

@@ -37,7 +37,7 @@ def read_description(path: Path) -> FmuDescription:
     with open_archive(path) as archive:
         if "modelDescription.xml" not in archive.namelist():
             raise CouplingError.report(str(path), expected=expected, received="an archive without modelDescription.xml")
-        xml = archive.read("modelDescription.xml")
+        xml = archive.read_xml("modelDescription.xml")
     try:
         version = ElementTree.fromstring(xml).get("fmiVersion")
         if version != "2.0":

@@ -34,10 +34,10 @@ def with_start_values(fmu: str | Path, values: Mapping[str, Value]) -> bytes:
     path = Path(fmu)
     variables = {variable.name: variable for variable in read_description(path).variables}
     with open_archive(path) as archive:
-        contents = {entry: archive.read(entry) for entry in archive.infolist()}
+        if not values or _START_VALUES not in archive.namelist():
+            return path.read_bytes()
+        contents = {entry: archive.read(entry.filename) for entry in archive.infolist()}
     texts = {entry.filename: data for entry, data in contents.items()}
-    if not values or _START_VALUES not in texts:
-        return path.read_bytes()
     starts = json.loads(texts[_START_VALUES]) | {name: _start(path, variables, name, values[name]) for name in values}
     texts[_START_VALUES] = (json.dumps(starts, sort_keys=True, indent=1) + "\n").encode()
     root = ElementTree.fromstring(texts[_DESCRIPTION])

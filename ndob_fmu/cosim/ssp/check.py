@@ -8,9 +8,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
-from zipfile import ZipFile
 
-from ndob_fmu.cosim.archive import open_archive
+from ndob_fmu.cosim.archive import Archive, open_archive
 from ndob_fmu.cosim.loops import algebraic_loops
 from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.cosim.ssp.experiment import read_experiment
@@ -104,13 +103,11 @@ class _Checks:
 
 def _archive(path: Path) -> tuple[bool, str]:
     with open_archive(path) as archive:
-        damaged = archive.testzip()
-        if damaged is not None:
-            raise NdobError.report(str(path), expected="entries that can be read", received=f"a damaged {damaged}")
+        archive.test()
         return True, f"{len(archive.namelist())} entries, none outside its folder"
 
 
-def _system(checks: _Checks, package: Package, archive: ZipFile, folder: str) -> System | None:
+def _system(checks: _Checks, package: Package, archive: Archive, folder: str) -> System | None:
     def schemas() -> tuple[Any, str]:
         root = package.description()
         names = [name for name in archive.namelist() if Path(name).suffix in ROOTS_BY_SUFFIX]

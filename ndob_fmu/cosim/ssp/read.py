@@ -12,9 +12,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
-from zipfile import ZipFile
 
-from ndob_fmu.cosim.archive import open_archive
+from ndob_fmu.cosim.archive import Archive, open_archive
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.ssp.experiment import read_experiment, read_step_ratios
@@ -49,7 +48,7 @@ def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple
 class Package:
     """The files in an opened package, each parsed, checked against its schema and for what is not supported."""
 
-    def __init__(self, path: Path, archive: ZipFile) -> None:
+    def __init__(self, path: Path, archive: Archive) -> None:
         self.path = path
         self.where = f"{path}, {SSD_NAME}"
         self._archive = archive
@@ -65,7 +64,7 @@ class Package:
         """Return the root of one file of the package."""
         if entry not in self._parsed:
             where = f"{self.path}, {entry}"
-            root = parse(where, self._archive.read(entry), root_name)
+            root = parse(where, self._archive.read_xml(entry), root_name)
             check_supported(where, root)
             self._parsed[entry] = root
         return self._parsed[entry]
@@ -101,14 +100,14 @@ class Package:
         return name
 
 
-def read_components(package: Package, root: Element, archive: ZipFile, folder: str) -> dict[str, FmuComponent]:
+def read_components(package: Package, root: Element, archive: Archive, folder: str) -> dict[str, FmuComponent]:
     """Unpack the FMUs of a description, each once, into a folder and return its components by their full names."""
     fmus: dict[str, Path] = {}
     parts: dict[str, FmuComponent] = {}
     for name, element in components(child(root, "ssd:System")):
         entry = package.entry(f"component {name}", element.get("source"))
         if entry not in fmus:
-            fmus[entry] = Path(archive.extract(entry, folder))
+            fmus[entry] = archive.extract(entry, folder)
         if name in parts:
             raise CouplingError.report(
                 f"{package.path}, component {name}", expected="a new name", received="one that is taken"

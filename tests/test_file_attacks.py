@@ -1,0 +1,24 @@
+"""Damaged files and interruptions: short forms of `python -m tests.attacks.…`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def attack(name, *, trials, seed):
+    """Return the line of counts; fail with the faults that the command prints."""
+    command = [sys.executable, "-m", f"tests.attacks.{name}", "--trials", str(trials), "--seed", str(seed)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+def test_damaged_and_malicious_archives_are_refused_in_one_line_or_read_as_what_they_were():
+    line = attack("archives", trials=34, seed=2)
+    assert "refuse" in line
+    assert "accept" in line
+    assert line.endswith("; 0 faults")
