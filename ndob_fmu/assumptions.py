@@ -16,6 +16,7 @@ from ndob_fmu.direction import shortest_direction
 from ndob_fmu.errors import UsageError
 from ndob_fmu.lipschitz import largest_slope
 from ndob_fmu.model import Model
+from ndob_fmu.progress import begin
 from ndob_fmu.runtime.channel import VANISHING
 from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.riccati import Array
@@ -36,6 +37,7 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     if not (isinstance(chosen, (int, float)) and math.isfinite(chosen) and chosen > 0):
         raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(chosen))
     linear = model.linear_part(parameters)
+    begin(f"measuring modes, ranks and zeros of {model.name}")
     system = balance(linear.A, linear.G, linear.C)
     channels = [*([] if linear.matched else [f"f[{i}]" for i in range(linear.G_f.shape[1])]), *model.unknown_inputs]
     rows = (

@@ -8,17 +8,19 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ndob_fmu import __version__
 from ndob_fmu.errors import NdobError, UsageError
 from ndob_fmu.extras import extra
+from ndob_fmu.progress import PATIENCE, begin, shown_after
 
 _BUILD = Path("build")
 _DEMO_MODEL = "flexible_joint"
 _DEMO_SYSTEM = "open_loop"
+_READER_GONE = 128 + 13  # SIGPIPE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,7 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
     try:
-        code: int = options.run(options)
+        with shown_after(PATIENCE) if options.run in (_check, _design, _build) else nullcontext():
+            code: int = options.run(options)
     except NdobError as error:
         print(f"ndob-fmu: {error}", file=sys.stderr)
         return error.exit_code
@@ -37,17 +40,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_and_leave() -> NoReturn:
-    """Run one command and end the process with its exit code.
+    """Run one command and end the process with its exit code; 141, as a shell has it, where the reader has gone.
 
     Without Python's own end: the static state of pythonfmu's binary, loaded with an FMU, is used then after being freed
     and may abort the process although all went well. Every file is closed by now.
     """
     try:
         code = main()
+        sys.stdout.flush()
     except SystemExit as end:  # argparse's --help, --version and usage errors
         code = end.code if isinstance(end.code, int) else 0
-    with suppress(OSError):  # a reader that has gone, as in `ndob-fmu design … | head`
-        sys.stdout.flush()
+        with suppress(OSError):
+            sys.stdout.flush()
+    except BrokenPipeError:  # as in `ndob-fmu check … | head -1`
+        code = _READER_GONE
+    except OSError as error:
+        if error.filename is not None:  # of a file, and not of the stream that is printed to
+            raise
+        code = 2
+        with suppress(OSError):
+            print(f"ndob-fmu: the output cannot be written: {error.strerror}", file=sys.stderr)
+    with suppress(OSError):
         sys.stderr.flush()
     os._exit(code)
 
@@ -68,6 +81,7 @@ def _check(options: argparse.Namespace) -> int:
 def _check_system(options: argparse.Namespace) -> int:
     from ndob_fmu.cosim import check_ssp
 
+    begin(f"reading {options.model} and its FMUs")
     report = check_ssp(options.model, picture=options.picture)
     print(report.to_json() if options.json else report)
     return 0 if report.passed else 1

@@ -10,6 +10,7 @@ from ndob_fmu.assumptions import check
 from ndob_fmu.continuous_report import Design, sorted_poles
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model import Model
+from ndob_fmu.progress import begin
 from ndob_fmu.runtime.channel import lumped_bound, lumped_rate
 from ndob_fmu.runtime.gains import paper_gains
 from ndob_fmu.runtime.tuning import sine_rate
@@ -44,11 +45,13 @@ def design(
     if not (np.isfinite(pi) and pi > 0):
         raise UsageError.report("pi", expected="a finite number > 0", received=repr(pi))
     check(model, alpha=alpha, parameters=parameters).require()
+    begin(f"designing the observer of {model.name} for pi = {pi:g}")
     continuous = _continuous(model, pi, alpha, parameters)
     if step_size is None:
         return continuous
     if not (np.isfinite(step_size) and step_size > 0):
         raise UsageError.report("step size", expected="a finite time > 0 s", received=repr(step_size))
+    begin(f"designing the observer of {model.name} for steps of {step_size:g} s")
     order = model.observer.disturbance_order if disturbance_order is None else disturbance_order
     equations, q = model.equations, len(model.disturbances)
     bound = _for_each("disturbance bound", disturbance_bound, q, equations.disturbance_bound)

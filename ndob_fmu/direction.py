@@ -11,6 +11,7 @@ import sympy
 
 from ndob_fmu.lipschitz import box, samples
 from ndob_fmu.model import Model
+from ndob_fmu.progress import begin
 from ndob_fmu.runtime.riccati import Array
 
 _CLIMBS = 8
@@ -34,6 +35,7 @@ def shortest_direction(model: Model, parameters: Mapping[str, float] | None = No
 
     The result is an upper bound of the least length. Raises ModelError for an unknown parameter.
     """
+    begin(f"searching for the shortest direction n of {model.name}")
     expressions = sympy.Matrix(model.channel_expressions)
     names = [name for name in (*model.states, *model.inputs) if model.symbols[name] in expressions.free_symbols]
     values = dict(

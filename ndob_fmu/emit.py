@@ -9,6 +9,7 @@ import sympy
 
 from ndob_fmu.emit_step import STEP_IMPORTS, emit_steps
 from ndob_fmu.errors import ModelError
+from ndob_fmu.progress import begin
 from ndob_fmu.python_text import python_text, tuple_text
 from ndob_fmu.runtime.equations import Equations
 
@@ -79,6 +80,7 @@ def compile_equations(model: Model) -> Equations:
 
     Raises ModelError where the text cannot be evaluated at the model's start values.
     """
+    begin(f"writing the equations of {model.name} as code")
     namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
     exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
     equations: Equations = namespace["EQUATIONS"]

@@ -10,6 +10,7 @@ import scipy.optimize
 import sympy
 
 from ndob_fmu.model import Model
+from ndob_fmu.progress import begin
 from ndob_fmu.runtime.riccati import Array
 
 SMALLEST_BOX = 10.0
@@ -46,6 +47,7 @@ def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -
     peak that is narrow and far from zero can be missed, and so is a jump between two branches of a Piecewise, which has
     no slope. Raises ModelError for an unknown parameter.
     """
+    begin(f"searching for the largest slope of f of {model.name}")
     jacobian = model.jacobian
     if jacobian.has(sympy.DiracDelta, sympy.Derivative, sympy.Subs):
         return Slope(np.inf, {})  # f jumps

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model import Model
+from ndob_fmu.progress import begin
 
 BUILT_IN = ("flexible_joint",)
 
@@ -21,6 +22,7 @@ def load_model(source: str | Path) -> Model:
     if str(source) in BUILT_IN:
         built_in: Model = importlib.import_module(f"ndob_fmu.models.{source}").model
         return built_in
+    begin(f"running {source}")
     path = Path(source)
     if not path.is_file():
         raise ModelError.report(

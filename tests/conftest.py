@@ -37,6 +37,14 @@ def nothing_left_behind(tmp_path, monkeypatch):
     assert list(folder.iterdir()) == []
 
 
+@pytest.fixture(autouse=True, scope="session")
+def patient():
+    """On a busy machine commands take long; what they say then is the matter of tests/test_progress.py alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ndob_fmu.cli.PATIENCE", 600.0)
+        yield
+
+
 @pytest.fixture(scope="session")
 def flexible_joint(tmp_path_factory) -> Built:
     folder = tmp_path_factory.mktemp("flexible_joint")

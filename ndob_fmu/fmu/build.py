@@ -22,6 +22,7 @@ from ndob_fmu.fmu.extras import extras
 from ndob_fmu.fmu.front import with_front
 from ndob_fmu.fmu.manual import Part
 from ndob_fmu.model import Model
+from ndob_fmu.progress import begin
 from ndob_fmu.results import atomic_path
 from ndob_fmu.runtime.interface import Variable, observer_variables, plant_variables
 
@@ -54,6 +55,7 @@ def package(path: Path, content: Bundle, variables: tuple[Variable, ...], added:
 
     Raises ModelError for a unit that is none, UsageError where the folder cannot be written.
     """
+    begin(f"building {path.name}")
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, _imports_undone(work):
         source = Path(work, "source")
         for relative, text in content.files.items():
