@@ -7,7 +7,8 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -111,7 +112,8 @@ def _build(options: argparse.Namespace) -> int:
     return 0
 
 
-def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> list[Path]:
+def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
+    """Build one after the other and yield their paths; the FMUs that no design can fail for come first."""
     from ndob_fmu.components import build_components, build_controller
     from ndob_fmu.cosim import build_ssp, parameter_sets
     from ndob_fmu.fmu import build
@@ -119,17 +121,18 @@ def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> 
     from ndob_fmu.shipped import shipped_folder
 
     model = load_model(name)
-    paths = list(build(model, out))
+    yield from build(model, out)
     if components or systems is not None:
-        paths += [build_controller(model, out), *build_components(out)]
+        yield from build_components(out)
+        yield build_controller(model, out)
     if systems is not None:
         for folder in sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd")):
-            paths += [build_ssp(folder, out, systems, parameter_set=one) for one in (None, *parameter_sets(folder))]
-    return paths
+            for one in (None, *parameter_sets(folder)):
+                yield build_ssp(folder, out, systems, parameter_set=one)
 
 
 def _build_demo() -> Path:
-    _build_all(_DEMO_MODEL, _BUILD / "fmus", True, _BUILD / "ssp")
+    deque(_build_all(_DEMO_MODEL, _BUILD / "fmus", True, _BUILD / "ssp"), maxlen=0)
     return _BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
 
 

@@ -25,7 +25,6 @@ from ndob_fmu.runtime.component_interface import (
     spring_variables,
 )
 from ndob_fmu.runtime.controller import Controller, Feedback
-from ndob_fmu.runtime.gains import LinearPart
 from ndob_fmu.runtime.interface import Variable
 from ndob_fmu.runtime.riccati import Array
 
@@ -51,9 +50,9 @@ def design_controller(
     """Design a state feedback by the least control effort that puts all poles to the left of −pace (1/s).
 
     It is the gain K of the Riccati equation for A + pace·I without weight on the state: poles to the right of −pace are
-    mirrored at it, the others stay. A and B are linearised where the plant rests without reference and disturbance.
-    regulated: as many states or outputs as there are inputs, by default the first states that are measured. pace: by
-    default 20 over the stop time of the model's experiment.
+    mirrored at it, the others stay. A and B are linearised where the plant rests without reference and disturbance, or
+    near x0 where there is no such position. regulated: as many states or outputs as there are inputs, by default the
+    first states that are measured. pace: by default 20 over the stop time of the model's experiment.
 
     Raises UsageError for a pace or names that cannot be used, ModelError for a plant without inputs, DesignError where
     it cannot be brought to rest or its unstable part cannot be moved.
@@ -84,7 +83,7 @@ def design_controller(
             likely="the inputs do not reach a mode that is slower, or a pole lies on that line: try another pace",
         )
     gain = tuple(tuple(float(value) for value in row) for row in K)
-    return ControllerDesign(Feedback(names, gain), poles, _unmatched(model.linear_part()))
+    return ControllerDesign(Feedback(names, gain), poles, _unmatched(model.linear_part().G_d, B))
 
 
 def build_controller(
@@ -159,6 +158,6 @@ def _regulated(model: Model, given: Sequence[str] | None) -> tuple[str, ...]:
     return names
 
 
-def _unmatched(linear: LinearPart) -> Array:
-    left = linear.G_d - linear.B @ np.linalg.lstsq(linear.B, linear.G_d, rcond=None)[0]
-    return np.asarray(np.linalg.norm(left, axis=0) / np.linalg.norm(linear.G_d, axis=0))
+def _unmatched(G_d: Array, B: Array) -> Array:
+    left = G_d - B @ np.linalg.lstsq(B, G_d, rcond=None)[0]
+    return np.asarray(np.linalg.norm(left, axis=0) / np.linalg.norm(G_d, axis=0))

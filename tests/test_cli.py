@@ -134,7 +134,7 @@ def test_build_writes_both_fmus_and_names_them(capsys, flexible_joint):
 
 
 def test_build_also_writes_the_other_components_and_packs_the_shipped_systems(capsys, flexible_joint, shipped):
-    others = ["FlexibleJointController.fmu", "DisturbanceSource.fmu", "Encoder.fmu", "TorsionSpring.fmu"]
+    others = ["DisturbanceSource.fmu", "Encoder.fmu", "TorsionSpring.fmu", "FlexibleJointController.fmu"]
     assert main(["build", "flexible_joint", "--out", "f", "--components"]) == 0
     assert capsys.readouterr().out.split()[2:] == [str(Path("f", name)) for name in others]
     assert main(["build", "flexible_joint", "--out", "f", "--systems", "s"]) == 0
@@ -142,6 +142,22 @@ def test_build_also_writes_the_other_components_and_packs_the_shipped_systems(ca
     assert sorted(capsys.readouterr().out.split()[6:]) == [str(Path("s", name)) for name in packages]
     for name in packages:
         assert Path("s", name).read_bytes() == (shipped.systems / name).read_bytes()
+
+
+ADRIFT = """
+from ndob_fmu import Model
+model = Model(name="Adrift", states=["v"], outputs=["v"], disturbances=["d"], A=[[-1]], C=[[1]], G_d=[[1]])
+"""
+
+
+def test_a_plant_that_no_controller_fits_still_gets_the_other_components(capsys, tmp_path):
+    (tmp_path / "adrift.py").write_text(ADRIFT)
+    assert main(["build", str(tmp_path / "adrift.py"), "--out", "f", "--components"]) == 2
+    out, err = capsys.readouterr()
+    built = ["AdriftPlant.fmu", "AdriftObserver.fmu", "DisturbanceSource.fmu", "Encoder.fmu", "TorsionSpring.fmu"]
+    assert out.split() == [str(Path("f", name)) for name in built]
+    assert sorted(path.name for path in Path("f").iterdir()) == sorted(built)
+    assert err == "ndob-fmu: the controller of Adrift: expected a plant with inputs, received none\n"
 
 
 def test_the_script_build_fmu_does_the_same(flexible_joint, shipped):

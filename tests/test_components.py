@@ -319,6 +319,39 @@ def test_every_example_gets_a_controller_whose_poles_lie_left_of_the_pace(name):
     assert len(design.feedback.gain) == len(model.inputs)
 
 
+def tank(drain):
+    """A tank that a pump fills, whose flow grows with the square of its speed: at standstill it has no effect."""
+    return Model(
+        name="Tank",
+        states=["level", "filtered"],
+        inputs=["speed"],
+        outputs=["level", "filtered"],
+        disturbances=["leak"],
+        A=[[-drain, 0], [1, -1]],
+        B=[[0], [0]],
+        C=[[1, 0], [0, 1]],
+        G_d=[[-1], [0]],
+        G_f=[[1], [0]],
+        f=lambda x, u, p: [p.flow * u.speed**2],
+        parameters={"flow": 2e-6},
+        x0=[0.5, 0.5],
+    )
+
+
+def test_a_plant_whose_input_enters_through_f_is_controlled_around_its_start():
+    model = tank(0.1)
+    design = design_controller(model)
+    assert design.unmatched == pytest.approx([0.0], abs=1e-9)  # the leak acts where the pump does
+    feedback = (design.feedback.regulated, np.array(design.feedback.gain), np.zeros(1))
+    controller = Controller(model.equations, model.parameter_values(), *feedback, compensation=True)
+    held = controller.start()
+    np.testing.assert_allclose(held.x, [0.5, 0.5], rtol=1e-9)
+    np.testing.assert_allclose(held.u, [math.sqrt(0.1 * 0.5 / 2e-6)], rtol=1e-9)
+    target, u = controller.step(held, [0.8], [0.8, 0.8], [0.03])
+    np.testing.assert_allclose(u, [math.sqrt((0.1 * 0.8 + 0.03) / 2e-6)], rtol=1e-9)
+    np.testing.assert_allclose(target.x, [0.8, 0.8], rtol=1e-9)
+
+
 def test_what_a_compensation_cannot_reach_at_once_is_said():
     assert design_controller(MODEL).unmatched == pytest.approx([0.0], abs=1e-12)
     crosswind = design_controller(load_model("examples/car_in_crosswind.py"))

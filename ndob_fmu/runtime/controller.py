@@ -15,6 +15,8 @@ from ndob_fmu.runtime.riccati import Array
 _DIFFERENCE = 1e-6
 _TOLERANCE = 1e-9
 _ITERATIONS = 30
+# From which Newton's method looks for the inputs that hold x0, whose size nobody knows.
+_FIRST_INPUTS = (0.0, *(sign * 10.0**k for k in (0, -1, 1, -2, 2, -3, 3, -4, 4, -5, 5, -6, 6) for sign in (1.0, -1.0)))
 
 
 @dataclass(frozen=True)
@@ -69,17 +71,21 @@ class Controller:
         )
 
     def start(self) -> Target:
-        """Return the rest position with all references and disturbances at 0.
+        """Return the rest position with all references and disturbances at 0; without one, that near the plant's x0.
 
-        Raises DesignError where there is none, or none that the inputs can choose.
+        An empty tank or a valve that is shut is no position to linearise at: there an input that enters through f may
+        have no effect. Raises DesignError where there is no rest position, or none that the inputs can choose.
         """
         eq = self.equations
+        d, x0 = [0.0] * len(eq.disturbances), np.array(eq.x0)
         guess = Target(x=np.zeros(len(eq.states)), u=np.zeros(len(eq.inputs)))
-        target = self._rest(guess, [0.0] * len(self.selection), [0.0] * len(eq.disturbances))
+        target = self._rest(guess, [0.0] * len(self.selection), d)
+        for u in _FIRST_INPUTS:
+            target = target or self._rest(Target(x=x0, u=np.full(len(eq.inputs), u)), self.selection @ x0, d)
         if target is None:
             raise DesignError.report(
                 f"the rest position of {eq.name}",
-                expected="one for references of 0 that the inputs can hold",
+                expected="one that the inputs can hold, for references of 0 or of x0",
                 received="none",
                 likely="the regulated outputs integrate, or the inputs have no lasting effect on them",
             )
