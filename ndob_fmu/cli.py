@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ndob_fmu import __version__
-from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.errors import NdobError, SimulationError, UsageError
 from ndob_fmu.extras import extra
 from ndob_fmu.progress import PATIENCE, begin, shown_after
 
@@ -152,16 +152,25 @@ def _simulate(options: argparse.Namespace) -> int:
         "output_interval": options.output_interval,
         "start_values": _pairs(options.start_values),
         "input_file": options.input_file,
+        "tolerance": options.tolerance,
         "scheme": options.scheme,
         "order": options.order,
     }
     system = _build_demo() if options.demo else options.system
-    if options.results is None:
-        recording = simulate(system, **settings)
-    else:
-        recording = simulate_into(options.results, system, **settings)
+    failure: SimulationError | None = None
+    try:
+        if options.results is None:
+            recording = simulate(system, **settings)
+        else:
+            recording = simulate_into(options.results, system, **settings)
+    except SimulationError as error:
+        if error.recording is None:
+            raise
+        recording, failure = error.recording, error
     span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
     rows = f"{len(recording.time)} rows of {len(recording.names)} signals, {span}"
+    if failure is not None:
+        rows += ", as far as the simulation came"
     if options.output_file is not None:
         write_csv(options.output_file, recording)
         print(f"{options.output_file}: {rows}")
@@ -173,6 +182,8 @@ def _simulate(options: argparse.Namespace) -> int:
         from ndob_fmu import plots
 
         plots.show(recording)
+    if failure is not None:
+        raise failure
     return 0
 
 
@@ -315,6 +326,7 @@ def _parser() -> argparse.ArgumentParser:
         ("--output-interval", "time between recorded rows in s, a whole multiple of the step"),
     ):
         sub.add_argument(option, type=float, help=f"{text} (default: the system's)")
+    sub.add_argument("--tolerance", type=float, help="relative tolerance inside the FMUs (default: that of each FMU)")
     sub.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="start values by component.variable"
     )

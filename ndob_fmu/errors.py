@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from ndob_fmu.runtime.errors import MESSAGE_LIMIT, AssumptionError, DesignError, NdobError, shortened
+
+if TYPE_CHECKING:
+    from ndob_fmu.results import Recording
 
 _LISTED = 100  # characters: longer lists are shortened to a few names and a count
 _NEAREST = 3
@@ -24,9 +28,10 @@ class CouplingError(NdobError):
 
 
 class SimulationError(NdobError):
-    """A component failed while the coupled system ran."""
+    """A component failed while the coupled system ran; ``recording`` is what had been recorded by then, if anything."""
 
     exit_code = 1
+    recording: Recording | None = None
 
 
 def one_of(kind: str, names: Iterable[str], received: object = None) -> str:

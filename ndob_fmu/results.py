@@ -31,6 +31,7 @@ class Recording:
 
     time: (rows,) in seconds. names: one per column, ``component.variable``. columns: (rows, len(names)), all as floats.
     types: the FMI type of each column; empty means Real throughout. units: of the columns that have one, by name.
+    ended_early: which component ended the run before its stop time, when and why; empty if none did.
     Raises UsageError if the shapes contradict.
     """
 
@@ -39,6 +40,7 @@ class Recording:
     columns: NDArray[np.float64]
     types: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    ended_early: str = ""
     _position: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -12,22 +12,33 @@ from ndob_fmu.cosim import Recording, System, Value, open_system, simulate
 from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.cosim.system import Port
 from ndob_fmu.cosim.values import convert
+from ndob_fmu.errors import SimulationError
 from ndob_fmu.results import SYSTEM_PICTURE, software_versions, write_csv, write_json
 
 
 def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recording:
     """Simulate, write result.csv, summary.json, signals and system into ``folder``, and return the recording.
 
-    settings: those of `simulate`. Raises what that raises, and UsageError if a file cannot be written.
+    settings: those of `simulate`. Raises what that raises, after having written what was recorded before a failure, and
+    UsageError if a file cannot be written.
     """
     began = time.perf_counter()
-    recording = simulate(system, **settings)
+    failure: SimulationError | None = None
+    try:
+        recording = simulate(system, **settings)
+    except SimulationError as error:
+        if error.recording is None:
+            raise
+        recording, failure = error.recording, error
     wall_time = time.perf_counter() - began
     write_csv(folder / "result.csv", recording)
     summary = describe(system, recording, settings.get("start_values"))
-    write_json(folder / "summary.json", {**summary, "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time})
+    how = {"failed": failure and str(failure), "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time}
+    write_json(folder / "summary.json", {**summary, **how})
     plots.plot_signals(folder / "signals.png", recording)
     draw(folder, system)
+    if failure is not None:
+        raise failure
     return recording
 
 
@@ -43,15 +54,17 @@ def describe(
     """Return what summary.json says of how a recording came about.
 
     parameters: ``component.variable`` → value of every parameter, and of every other variable that a start value was
-    given for. units: of signals and parameters, where there are any.
+    given for. units: of signals and parameters, where there are any. stop_time: of the last row.
+    ended_early: what ended the run before its stop time, None if nothing did.
     """
     with open_system(system) as (opened, _):
         parameters = _parameters(opened, start_values or {})
         units = {name: opened.variable(opened.port(name)).unit for name in parameters}
     return {
         "system": "" if isinstance(system, System) else Path(system).name,
-        "step_size": float(recording.time[1] - recording.time[0]),
+        "step_size": float(recording.time[1] - recording.time[0]) if len(recording.time) > 1 else None,
         "stop_time": float(recording.time[-1]),
+        "ended_early": recording.ended_early or None,
         "parameters": parameters,
         "units": {**recording.units, **{name: unit for name, unit in units.items() if unit}},
         "versions": software_versions(),

@@ -14,6 +14,7 @@ Lambda = Callable[..., Any]
 
 class Mock:
     """output(x, u) → values; step(x, u, t, h) → x; on(call, time) runs at the start of every call and may raise.
+    ends(t, h) → None or Ended.
 
     u is a dict of the inputs by name; outputs are those of `outputs` in that order.
     """
@@ -28,11 +29,13 @@ class Mock:
         x: Any = (),
         parameters: Sequence[Variable] = (),
         on: Lambda = lambda call, time: None,
+        ends: Lambda = lambda t, h: None,
     ) -> None:
         named = [v if isinstance(v, Variable) else Variable(v, "input") for v in inputs]
         named += [v if isinstance(v, Variable) else Variable(v, "output", settable=False) for v in outputs]
         self.variables = (*named, *parameters)
         self.output, self.advance, self.x0, self.on = output, step, x, on
+        self.ends = ends
         self.calls: list[str] = []
         self.times: list[tuple[float, float]] = []
         self.received: list[dict[str, float]] = []
@@ -41,7 +44,7 @@ class Mock:
         self.calls.append(call)
         self.on(call, time)
 
-    def setup(self, start_time, stop_time, start_values, inputs):
+    def setup(self, start_time, stop_time, start_values, inputs, tolerance=None):
         self.inputs, self.x = inputs, self.x0
         self.u = {v.name: 0.0 for v in self.variables if v.causality != "output"} | dict(start_values)
         self._note("setup", start_time)
@@ -62,6 +65,7 @@ class Mock:
         self.times.append((time, step_size))
         self.received.append(dict(self.u))
         self.x = self.advance(self.x, self.u, time, step_size)
+        return self.ends(time, step_size)
 
     def close(self):
         self._note("close")

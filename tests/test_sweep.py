@@ -22,6 +22,7 @@ from ndob_fmu.cosim import simulate
 from ndob_fmu.errors import SimulationError, UsageError
 from ndob_fmu.study import read_study, sweep, workers
 from ndob_fmu.study.store import read_runs
+from ndob_fmu.study.summary import as_text, summarize
 
 
 @pytest.fixture(scope="session")
@@ -183,18 +184,22 @@ def test_a_failed_run_is_a_row_with_its_reason_and_can_be_done_again(fmus, clust
     study = read_study(write(tmp_path, "failing", FAILING.replace("\nx = [1, 2]", ""), fmus))
     tally = sweep(study, tmp_path / "r", scheduler=cluster[0])
     rows = read_runs(tmp_path / "r").to_pylist()
-    assert tally.failed == 2
+    assert tally.failed == 1
     for row in rows:
-        assert row["failed"] == (row["how"] != "" and row["fails_at"] == 0.0)
-        words = {"raise": "the bearing has seized", "discard": "step too long for the contact"}
+        assert row["failed"] == (row["how"] == "raise" and row["fails_at"] == 0.0)
         if row["failed"]:
-            assert words[row["how"]] in row["reason"]
+            assert "the bearing has seized" in row["reason"]
             assert row["Fragile.x"] is None
         else:
             assert row["reason"] is None
             assert row["Fragile.x"] == 0.0
+        # An FMU that ends the simulation makes a run that ended early.
+        assert row["ended_at"] == (0.0 if row["how"] == "discard" and row["fails_at"] == 0.0 else None)
+    summary = summarize(tmp_path / "r", tally)
+    assert (summary["failed"], summary["ended_early"]) == (1, 1)
+    assert "1 failed, 1 ended early" in as_text(summary)
     again = sweep(study, tmp_path / "r", scheduler=cluster[0], retry_failed=True)
-    assert (again.done, again.failed) == (2, 2)
+    assert (again.done, again.failed) == (1, 1)
     assert read_runs(tmp_path / "r").num_rows == 9
 
 

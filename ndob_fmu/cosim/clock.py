@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ndob_fmu.errors import NdobError, UsageError
 
 _RELATIVE_TOLERANCE = 1e-9  # far above the rounding of stop/step in double precision, far below half a step
+_SAME_POINT = 1e-6  # of a step: a component says a time that it has added up itself
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,19 @@ class Clock:
                 "output interval", expected=f"at most {span!r} s", received=f"{output_interval!r} s"
             )
         return cls(start_time, step_size, steps, stride)
+
+    def reached(self, time: float) -> int:
+        """Return the last k with t_k ≤ ``time`` (s); a time that is just short of t_k by rounding counts as t_k."""
+        return math.floor((time - self.start_time) / self.step_size + _SAME_POINT)
+
+    def is_point(self, time: float) -> bool:
+        """Return whether ``time`` (s) is a communication point, but for rounding."""
+        steps = (time - self.start_time) / self.step_size
+        return abs(steps - round(steps)) <= _SAME_POINT
+
+    def until(self, steps: int) -> Clock:
+        """Return the grid that ends after ``steps`` steps, if it does not end before."""
+        return replace(self, steps=min(steps, self.steps))
 
     def time(self, k: int) -> float:
         """Return t_k in seconds."""

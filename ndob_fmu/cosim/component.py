@@ -41,6 +41,18 @@ class Variable:
     items: tuple[tuple[str, int], ...] = ()
 
 
+@dataclass(frozen=True)
+class Ended:
+    """A component has ended the simulation.
+
+    time: of its last successful step, s; its outputs are those at that time.
+    reason: what it said, empty if it said nothing.
+    """
+
+    time: float
+    reason: str = ""
+
+
 class Component(Protocol):
     """One part of a coupled system. The order of the calls is always
 
@@ -57,11 +69,17 @@ class Component(Protocol):
         ...
 
     def setup(
-        self, start_time: float, stop_time: float, start_values: Mapping[str, Any], inputs: Sequence[str]
+        self,
+        start_time: float,
+        stop_time: float,
+        start_values: Mapping[str, Any],
+        inputs: Sequence[str],
+        tolerance: float | None = None,
     ) -> None:
         """Take the start values and begin initialization at ``start_time`` (s).
 
         inputs: the names whose values ``set_inputs`` will bring, in that order; other inputs keep their start value.
+        tolerance: relative, for what the component solves inside a step; None is the component's own default.
         """
         ...
 
@@ -77,8 +95,11 @@ class Component(Protocol):
         """End initialization."""
         ...
 
-    def step(self, time: float, step_size: float) -> None:
-        """Advance from ``time`` to ``time + step_size`` (s) with the inputs held."""
+    def step(self, time: float, step_size: float) -> Ended | None:
+        """Advance from ``time`` to ``time + step_size`` (s) with the inputs held.
+
+        Return None, or that the component has ended the simulation within this step; it is not stepped again then.
+        """
         ...
 
     def close(self) -> None:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Experiment:
-    """Default times in seconds; None where the description says nothing."""
+    """Default times in seconds and the default relative tolerance; None where the description says nothing."""
 
     start_time: float | None = None
     stop_time: float | None = None
     step_size: float | None = None
+    tolerance: float | None = None

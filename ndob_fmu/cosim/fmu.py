@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import shutil
 import tempfile
@@ -17,7 +18,7 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 
 from ndob_fmu.cosim.archive import open_archive
-from ndob_fmu.cosim.component import Array, Value, Variable, recordable
+from ndob_fmu.cosim.component import Array, Ended, Value, Variable, recordable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu_buffers import Buffer, buffers, fmi_call
 from ndob_fmu.cosim.fmu_description import read_description
@@ -68,9 +69,17 @@ class FmuComponent:
         return self._description.experiment
 
     def setup(
-        self, start_time: float, stop_time: float, start_values: Mapping[str, Value], inputs: Sequence[str]
+        self,
+        start_time: float,
+        stop_time: float,
+        start_values: Mapping[str, Value],
+        inputs: Sequence[str],
+        tolerance: float | None = None,
     ) -> None:
-        """Unpack, load and instantiate the FMU, give it its start values and enter initialization mode."""
+        """Unpack, load and instantiate the FMU, give it its start values and enter initialization mode.
+
+        tolerance: relative; None takes that of the FMU's default experiment, if it has one.
+        """
         self._time, self._worst_status = start_time, fmi2.fmi2OK
         self._log.last = ""
         if self._fmu is None:
@@ -81,7 +90,7 @@ class FmuComponent:
             self._fmu = self._load(self._folder)
             always = fmi2.fmi2Boolean(fmi2.fmi2True)
             self._do_step = fmi_call(self._fmu, "fmi2DoStep", self._begin, self._duration, always)
-        self._call(self._fmu.setupExperiment, None, start_time, stop_time)
+        self._call(self._fmu.setupExperiment, tolerance or self.experiment.tolerance, start_time, stop_time)
         for buffer in self._buffers(tuple(start_values)):
             buffer.load([start_values[name] for name in buffer.names])
             self._call(buffer.set, self._fmu)
@@ -122,15 +131,39 @@ class FmuComponent:
         self._call(self._fmu.exitInitializationMode)
         self._initialized = True
 
-    def step(self, time: float, step_size: float) -> None:
-        """Do one communication step of ``step_size`` from ``time`` (s)."""
+    def step(self, time: float, step_size: float) -> Ended | None:
+        """Do one communication step of ``step_size`` from ``time`` (s); return whether the FMU ended the simulation."""
         self._time = time
         try:
             self._begin.value, self._duration.value = time, step_size
             self._do_step()
         except FMICallException as error:
-            raise self._failure(error) from error
+            ended = self._ended(time, step_size) if error.status == fmi2.fmi2Discard else None
+            if ended is None:
+                raise self._failure(error) from error
+            return ended
         self._time = time + step_size
+        return None
+
+    def _ended(self, time: float, step_size: float) -> Ended | None:
+        """Return whether the FMU has discarded the step from ``time`` (s) because it wants to end the simulation.
+
+        FMI 2.0, section 4.2.3: fmi2Terminated says so, fmi2LastSuccessfulTime when; the outputs are those at that time.
+        """
+        reason = self._log.last
+        try:
+            if not self._fmu.getBooleanStatus(fmi2.fmi2Terminated):
+                return None
+        except FMICallException:  # the question is optional for FMUs
+            return None
+        finally:
+            self._log.last = reason  # not what the FMU says of the question
+        last = time
+        with suppress(FMICallException):
+            last = float(self._fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime))
+        self._log.last = reason
+        self._time = min(max(last, time), time + step_size) if math.isfinite(last) else time
+        return Ended(self._time, reason)
 
     def close(self) -> None:
         """Terminate and free the instance and delete its folder; after a fatal status FMI allows the last only."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ def read_description(path: Path) -> FmuDescription:
         model.coSimulation.modelIdentifier,
         _variables(model, path),
         {entry.name: entry.valueReference for entry in model.modelVariables},
-        _experiment(model.defaultExperiment),
+        _experiment(model.defaultExperiment, path),
     )
 
 
@@ -116,8 +117,24 @@ def _base_unit(entry: Any) -> BaseUnit | None:
     )
 
 
-def _experiment(entry: Any) -> Experiment:
+def _experiment(entry: Any, path: Path) -> Experiment:
     if entry is None:
         return Experiment()
-    times = (entry.startTime, entry.stopTime, entry.stepSize)
-    return Experiment(*(None if time is None else float(time) for time in times))
+    start, stop, step, tolerance = (
+        _number(f"{path}, {name} of DefaultExperiment", getattr(entry, name))
+        for name in ("startTime", "stopTime", "stepSize", "tolerance")
+    )
+    # A tolerance of zero is what some exporters write for none.
+    return Experiment(start, stop, step, tolerance if tolerance and tolerance > 0 else None)
+
+
+def _number(where: str, text: Any) -> float | None:
+    if text is None:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CouplingError.report(where, expected="a finite number", received=repr(text))
+    return value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,7 +21,7 @@ from ndob_fmu.cosim.loops import algebraic_loops
 from ndob_fmu.cosim.ssp import open_ssp
 from ndob_fmu.cosim.system import Port, System
 from ndob_fmu.cosim.wiring import wire
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import SimulationError, UsageError, shortened
 from ndob_fmu.results import Recording
 
 _log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ def simulate(
     input_file: str | Path | None = None,
     scheme: str = "jacobi",
     order: Sequence[str] | None = None,
+    tolerance: float | None = None,
     progress: bool | None = None,
 ) -> Recording:
     """Co-simulate with a fixed communication step and return every numeric output, one row per communication point.
@@ -53,8 +55,14 @@ def simulate(
     held at what they will be in the step's middle, of second order where signals are smooth. order: the components'
     names in the order of gauss-seidel; None means the system's.
 
+    tolerance: relative, for what the FMUs solve inside a step; None is that of each FMU's default experiment.
+
+    An FMU that ends the simulation ends the run at that time: the last row is then before the stop time,
+    ``Recording.ended_early`` says why, and a warning is logged.
+
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
-    SimulationError for a component that fails. No component and no temporary file outlives the call.
+    SimulationError for a component that fails; its ``recording`` has the rows before the failure, None where there are
+    none. No component and no temporary file outlives the call.
     """
     with open_system(system, step_size) as (opened, experiment):
         clock = Clock.over(
@@ -71,7 +79,20 @@ def simulate(
             raise UsageError.report("order", expected="the scheme gauss-seidel", received=repr(scheme))
         wiring = wire(opened, table, starts, order)
         _warn_of_delays(opened)
-        return _with_outputs(opened, master.run(wiring, clock, scheme=scheme, progress=progress))
+        try:
+            found = master.run(wiring, clock, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
+        except SimulationError as error:
+            error.recording = error.recording and _with_outputs(opened, error.recording)
+            raise
+        if found.ended_early:
+            _log.warning("%s", shortened(found.ended_early))
+        return _with_outputs(opened, found)
+
+
+def _positive(tolerance: float | None) -> float | None:
+    if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0):
+        raise UsageError.report("tolerance", expected="a finite number > 0", received=repr(tolerance))
+    return tolerance
 
 
 def _with_outputs(system: System, recording: Recording) -> Recording:
@@ -83,12 +104,13 @@ def _with_outputs(system: System, recording: Recording) -> Recording:
         return recording
     types = dict(zip(recording.names, recording.types, strict=True))
     links = system.outputs.values()
-    return Recording(
-        recording.time,
-        (*recording.names, *system.outputs),
-        np.column_stack([recording.columns, *(recording[str(p)] * factor + offset for p, factor, offset in links)]),
-        (*recording.types, *(types[str(link.port)] for link in links)),
-        recording.units,
+    return replace(
+        recording,
+        names=(*recording.names, *system.outputs),
+        columns=np.column_stack(
+            [recording.columns, *(recording[str(p)] * factor + offset for p, factor, offset in links)]
+        ),
+        types=(*recording.types, *(types[str(link.port)] for link in links)),
     )
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ndob_fmu.cosim.clock import Clock
-from ndob_fmu.cosim.component import Array
+from ndob_fmu.cosim.component import Array, Ended
 from ndob_fmu.cosim.wiring import Lane
 
 
@@ -17,6 +17,8 @@ class Part:
 
     def __init__(self, lane: Lane, bus: Array, clock: Clock) -> None:
         self.component = lane.component
+        self.name = lane.name
+        self.place = lane.outputs
         self.ratio = lane.ratio
         self.step_size = lane.ratio * clock.step_size
         self.outputs = bus[lane.outputs]
@@ -97,24 +99,49 @@ class ExtrapolatedPart(Part):
             np.copyto(self._own_slopes, 0.0, where=self._lost)
 
 
-def _parallel(parts: Sequence[Part], clock: Clock, k: int) -> None:
+class Ending(NamedTuple):
+    """A part has ended the simulation; steps: how many communication steps are whole by then."""
+
+    part: Part
+    ended: Ended
+    steps: int
+
+
+def earliest(before: Ending | None, found: Ending) -> Ending:
+    """Return which of two endings comes first, ``found`` where there is no other."""
+    return found if before is None or found.ended.time < before.ended.time else before
+
+
+def _parallel(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
+    ending = None
     for part in parts:
         # A step that would end after the stop time shows in no row.
         if k % part.ratio == 0 and k + part.ratio <= clock.steps:
             part.receive(k)
-            part.component.step(clock.time(k), part.step_size)
+            ended = part.component.step(clock.time(k), part.step_size)
+            if ended is not None:
+                ending = earliest(ending, Ending(part, ended, clock.reached(ended.time)))
+                if ending.steps <= k:
+                    return ending
     for part in parts:
         if (k + 1) % part.ratio == 0:
             part.arrive()
+    return ending
 
 
-def _sequential(parts: Sequence[Part], clock: Clock, k: int) -> None:
+def _sequential(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
+    ending = None
     for part in parts:
         # A longer step is made when the clock gets to its end, so that it sees the others there.
         if (k + 1) % part.ratio == 0:
             part.receive(k)
-            part.component.step(clock.time(k + 1 - part.ratio), part.step_size)
+            ended = part.component.step(clock.time(k + 1 - part.ratio), part.step_size)
+            if ended is not None:
+                ending = earliest(ending, Ending(part, ended, clock.reached(ended.time)))
+                if ending.steps <= k:
+                    return ending
             part.arrive()
+    return ending
 
 
 def _held(lanes: Sequence[Lane], bus: Array, clock: Clock) -> list[Part]:
@@ -127,14 +154,21 @@ def _extrapolated(lanes: Sequence[Lane], bus: Array, clock: Clock) -> list[Part]
 
 
 class Scheme(NamedTuple):
-    """parts: lanes, bus, clock → a part for each lane. advance: of parts, clock and k takes the parts to t_{k+1}."""
+    """How a communication step is made.
+
+    parts: lanes, bus, clock → a part for each lane.
+    advance: of parts, clock and k takes the parts to t_{k+1}; returns whether one of them has ended the simulation, and
+    leaves the bus as it is where that was before t_{k+1}.
+    in_turn: an ending may find values of t_{k+1} on the bus, of the parts that stepped before.
+    """
 
     parts: Callable[[Sequence[Lane], Array, Clock], list[Part]]
-    advance: Callable[[Sequence[Part], Clock, int], None]
+    advance: Callable[[Sequence[Part], Clock, int], Ending | None]
+    in_turn: bool = False
 
 
 SCHEMES = {
     "jacobi": Scheme(_held, _parallel),
-    "gauss-seidel": Scheme(_held, _sequential),
+    "gauss-seidel": Scheme(_held, _sequential, in_turn=True),
     "extrapolation": Scheme(_extrapolated, _parallel),
 }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 RUN, FAILED, REASON, WALL_TIME, TIME = "run", "failed", "reason", "wall_time", "time"
-RESERVED = (RUN, FAILED, REASON, WALL_TIME, TIME)
+ENDED_AT = "ended_at"  # s, of a run that an FMU ended before its stop time
+RESERVED = (RUN, FAILED, REASON, ENDED_AT, WALL_TIME, TIME)
 
 
 def over_time(signal: str) -> str:

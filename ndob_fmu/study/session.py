@@ -12,7 +12,7 @@ from typing import Any
 from ndob_fmu.cosim import FmuComponent, System, open_system, simulate
 from ndob_fmu.errors import NdobError
 from ndob_fmu.results import Recording
-from ndob_fmu.study.columns import FAILED, REASON, RUN, TIME, WALL_TIME, over_time
+from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import STEP_SIZE, Study
 
 _MOST_OF_A_REASON = 500
@@ -61,6 +61,8 @@ class Session:
 
     def _kept(self, recording: Recording) -> dict[str, Any]:
         kept: dict[str, Any] = {name: measure(recording) for name, measure in self._study.measures.items()}
+        if recording.ended_early:
+            kept[ENDED_AT] = float(recording.time[-1])
         if self._study.record:
             kept[TIME] = recording.time.tolist()
             kept |= {over_time(name): recording[name].tolist() for name in self._study.record}

@@ -21,7 +21,7 @@ from ndob_fmu.cosim import open_system
 from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.errors import UsageError, some_of
 from ndob_fmu.results import SYSTEM_PICTURE, atomic_path, write_json
-from ndob_fmu.study.columns import FAILED, REASON, RUN, TIME, WALL_TIME, over_time
+from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
 
 _PLAN = "study.json"
@@ -134,7 +134,7 @@ def _schema(study: Study) -> pa.Schema:
     entries = [(RUN, pa.int64())]
     entries += [(name, _type(levels)) for name, levels in study.points.levels().items()]
     entries += [(name, pa.float64()) for name in study.measures]
-    entries += [(FAILED, pa.bool_()), (REASON, pa.string()), (WALL_TIME, pa.float64())]
+    entries += [(FAILED, pa.bool_()), (REASON, pa.string()), (ENDED_AT, pa.float64()), (WALL_TIME, pa.float64())]
     if study.record:
         entries += [(name, pa.list_(pa.float64())) for name in (TIME, *map(over_time, study.record))]
     return pa.schema(entries)

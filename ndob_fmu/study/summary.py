@@ -12,7 +12,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 from ndob_fmu.results import atomic_path, software_versions, write_json
-from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
+from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, WALL_TIME
 from ndob_fmu.study.store import column, read_plan, read_runs
 from ndob_fmu.study.sweep import Tally
 
@@ -45,11 +45,12 @@ def summarize(folder: Path, tally: Tally) -> dict[str, Any]:
 
 
 def statistics(table: pa.Table, plan: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how many runs have finished and failed, the most frequent reasons, and of each measure what it came to."""
+    """Return how many runs have finished, failed and ended early, the frequent reasons, and what the measures are."""
     reasons = Counter(reason for reason in table[REASON].to_pylist() if reason)
     return {
         "finished": len(table),
         "failed": int(column(table, FAILED).sum()),
+        "ended_early": int(np.isfinite(column(table, ENDED_AT)).sum()),
         "reasons": dict(reasons.most_common(_MOST_REASONS)),
         "measures": {name: _statistics(table, name) for name in plan["measures"]},
     }
@@ -75,6 +76,8 @@ def as_text(summary: dict[str, Any]) -> str:
     """Return the summary as lines for a terminal."""
     last = summary["last_call"]
     head = f"{summary['study']}: {summary['finished']} of {summary['runs']} runs, {summary['failed']} failed"
+    if summary["ended_early"]:
+        head += f", {summary['ended_early']} ended early"
     if last["runs"]:
         head += (
             f"; {last['runs']} of them now in {last['wall_time']:.1f} s on {last['workers']} workers, "
