@@ -38,6 +38,7 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.fuzz --calls 100000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.attacks.texts --trials 20000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.attacks.names --trials 1000 --seed 1
+	$(BIN)/python -m tests.attacks.steps --trials 2000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 

@@ -26,7 +26,15 @@ from pythonfmu import (
 )
 from pythonfmu.enums import Fmi2Status
 
-from fmus.slave_guards import experiment_fault, failure, parameter_fault, printable, step_fault, stop_fault
+from fmus.slave_guards import (
+    added_rounding,
+    experiment_fault,
+    failure,
+    parameter_fault,
+    printable,
+    step_fault,
+    stop_fault,
+)
 from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Snapshot, from_bytes, to_bytes
 from ndob_fmu.runtime.equations import Experiment
@@ -135,11 +143,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self._initializing = False
 
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Advance the core; a step that cannot be taken is logged and changes nothing."""
+        """Advance the core; a step that cannot be taken is logged and changes nothing.
+
+        A step no longer than the rounding errors of a host that adds its steps up only advances the time.
+        """
         end = current_time + step_size
         goes_on_as_it_did = step_size and step_size == self._step_size and end > current_time == self._time
         if not goes_on_as_it_did:
-            fault = step_fault(current_time, step_size, self._time)
+            fault = step_fault(current_time, step_size, self._time, self._step_size)
             if fault:
                 self._say(fault, Fmi2Status.discard)
                 return False
@@ -152,9 +163,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self.exit_initialization_mode()
             if self._initializing:
                 return False
-        # The step as the difference of two rounded times is another one each time, and a design is made for each.
-        if step_size != self._step_size and self._step_size and abs(step_size - self._step_size) <= 2.0 * ulp(end):
-            step_size = self._step_size
+        if not goes_on_as_it_did:
+            rounding = added_rounding(end, self._start_time, self._step_size)
+            if step_size <= rounding:
+                self._time = end
+                return True
+            # A step that is the difference of two rounded times varies in its last bits; each would get a design.
+            if self._step_size and abs(step_size - self._step_size) <= max(2.0 * ulp(end), rounding):
+                step_size = self._step_size
         before = self.state
         try:
             outputs = self.advance_quickly(current_time, step_size)

@@ -11,7 +11,7 @@ from ndob_fmu.runtime.interface import Variable
 # What computing with impossible numbers raises; LinAlgError is a ValueError.
 _IMPOSSIBLE = (ArithmeticError, ValueError)
 _LONGEST_MESSAGE = 300
-# A step begins where the last one ended, within this part of it: hosts add up steps, or round them to nanoseconds.
+# A step begins where the last one ended, within this part of a step: hosts add up steps, or round them to nanoseconds.
 _TIME_TOLERANCE = 1e-3
 
 
@@ -44,11 +44,11 @@ def experiment_fault(start_time: float, stop_time: float | None) -> NdobError | 
     )
 
 
-def step_fault(current_time: float, step_size: float, follows: float) -> NdobError | None:
-    """Return what is wrong with a step that should start at the time `follows` (s)."""
+def step_fault(current_time: float, step_size: float, follows: float, last_step: float) -> NdobError | None:
+    """Return what is wrong with a step that should start at the time `follows` (s), after one of `last_step` s."""
     if not 0.0 < step_size < inf:
         return NdobError.report("communication step", expected="a finite time > 0 s", received=f"{step_size!r} s")
-    if not abs(current_time - follows) <= _tolerance(step_size, follows):
+    if not abs(current_time - follows) <= _tolerance(max(step_size, last_step), follows):
         expected = f"{follows!r} s, where the last one ended"
         return NdobError.report("time of the step", expected=expected, received=f"{current_time!r} s")
     if current_time + step_size > current_time:
@@ -62,6 +62,17 @@ def stop_fault(end: float, step_size: float, stop_time: float | None) -> NdobErr
     if stop_time is None or end <= stop_time + _tolerance(step_size, stop_time):
         return None
     return NdobError.report("end of the step", expected=f"at most the stop time {stop_time:g} s", received=f"{end:g} s")
+
+
+def added_rounding(time: float, start_time: float, step_size: float) -> float:
+    """Return by how much (s) a host's time may be wrong that has added steps of `step_size` up since `start_time` (s).
+
+    That is a rounding error for each step, and at most a thousandth of a step; 0 before the first step, of size 0.
+    """
+    if step_size == 0.0:
+        return 0.0
+    steps = 1.0 + (time - start_time) / step_size
+    return min(steps * ulp(max(abs(time), abs(start_time))), _TIME_TOLERANCE * step_size)
 
 
 def _tolerance(step_size: float, time: float) -> float:

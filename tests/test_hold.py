@@ -20,7 +20,7 @@ def sampled(y, times, degree):
     history, now = empty_history(OUTPUTS), times[0]
     for t in times:
         history, now = history.aged(t - now).with_sample(y(t), degree), t
-    return history
+    return history.chosen(0.0, degree)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -89,8 +89,27 @@ def test_a_gap_in_the_samples_is_bridged_by_the_polynomial_of_those_that_came():
     np.testing.assert_allclose(history.at(0.1), 1.0 - 0.8 + 3.0 * 0.64, rtol=1e-12)
 
 
-def test_no_more_samples_are_kept_than_the_degree_needs():
+def test_equal_steps_are_continued_through_the_newest_samples_and_twice_as_many_are_kept():
     history = empty_history(OUTPUTS)
     for k in range(10):
         history = history.aged(0.1).with_sample(np.full(OUTPUTS, float(k)), 1)
-    np.testing.assert_array_equal(history.samples[:, 0], [9.0, 8.0])
+    np.testing.assert_array_equal(history.samples[:, 0], [9.0, 8.0, 7.0, 6.0])
+    np.testing.assert_array_equal(history.chosen(0.1, 1).samples[:, 0], [9.0, 8.0])
+
+
+@pytest.mark.parametrize("short", [1e-16, 1e-13, 1e-9, 1e-6])
+@pytest.mark.parametrize("many", [1, 3, 1000])
+def test_short_steps_do_not_spoil_the_continuation_over_the_full_step_after_them(short, many):
+    """A parabola of size one with rounding errors of 1e-15, continued over 1 ms."""
+    H, random = 1e-3, np.random.default_rng(0)
+
+    def y(t):
+        return np.full(OUTPUTS, 1.0 + 2.0 * t - 3.0 * t * t) * (1.0 + 1e-15 * random.normal())
+
+    times = np.concatenate([H * np.arange(8), 7.0 * H + short * np.arange(1.0, many + 1.0)])
+    history, now = empty_history(OUTPUTS), 0.0
+    for t in times:
+        history, now = history.aged(t - now).with_sample(y(t), 2), t
+    held = history.chosen(H, 2)
+    assert len(held.ages) == 3
+    np.testing.assert_allclose(held.at(H), y(now + H), rtol=0, atol=1e-12)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, isfinite, nan, pi
+from math import floor, isfinite, nan, pi, ulp
 
 from ndob_fmu.runtime.random_numbers import normal, uniforms
 
 MISSING = {"held": 1, "not_a_number": 2}
 
-# Of a period or of a step: hosts add up their times, and a sample or a value that is due must not slip to the next one.
-_SLACK = 1e-6
+# Hosts add up their times, or round them. A sample or a value that is due within this part of a period or of a step
+# after the step's end, or within this many roundings of its time, must not slip to the next step.
+_OF_A_PERIOD, _OF_A_STEP, _ROUNDINGS = 1e-6, 1e-3, 4.0
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,14 @@ class Encoder:
     def step(self, state: EncoderState, angle: float, t_end: float, step_size: float) -> EncoderState:
         """Take the sample that is due at the end of the step, if one is, and show those whose delay is over."""
         index, pending = state.index, state.pending
-        latest = index + 1 if self.sample_time == 0.0 else floor((t_end - state.start_time) / self.sample_time + _SLACK)
+        slack = max(_OF_A_STEP * step_size, _ROUNDINGS * ulp(t_end))
+        latest = index + 1
+        if self.sample_time > 0.0:
+            since = t_end - state.start_time + max(slack, _OF_A_PERIOD * self.sample_time)
+            latest = floor(since / self.sample_time)
         if latest > index:
             index, pending = latest, (*pending, (t_end + self.delay, self._sample(angle, latest)))
-        due = sum(time <= t_end + _SLACK * step_size for time, _ in pending)
+        due = sum(time <= t_end + slack for time, _ in pending)
         good, shown = state.good, nan if self.between_samples_nan else state.good
         new = False
         for _, value in pending[:due]:

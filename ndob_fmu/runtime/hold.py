@@ -2,6 +2,9 @@
 
 Holding the last sample is useless here: at π = 1e12 the estimate is 1e6 times an output error, and a held output is
 wrong by its rate times the step. A polynomial of degree k is wrong by O(H^{k+1}).
+
+Samples that lie close together, as around a very short step, must not be continued over a long one: rounding errors
+grow with the square of the ratio. So more samples are kept than a polynomial needs, and each step chooses its own.
 """
 
 from __future__ import annotations
@@ -12,20 +15,39 @@ import numpy as np
 
 from ndob_fmu.runtime.riccati import Array
 
+# The samples of a polynomial lie at least this part of the step apart over which it is continued.
+_LEAST_SPACING = 0.1
+
 
 @dataclass(frozen=True)
 class History:
-    """The latest samples, newest first. ages (k,) in s, 0 for a sample taken now; samples (k,p)."""
+    """Past samples, newest first. ages (k,) in s, 0 for a sample taken now; samples (k,p)."""
 
     ages: Array
     samples: Array
 
     def with_sample(self, y: Array, degree: int) -> History:
-        """Return the history after a sample y (p,) taken now, of at most degree + 1 samples."""
-        return History(
-            ages=np.concatenate([[0.0], self.ages])[: degree + 1],
-            samples=np.vstack([y, self.samples])[: degree + 1],
-        )
+        """Return the history after a sample y (p,) taken now, of at most 2 (degree + 1) samples.
+
+        The newest degree + 1 stay. Of the others the one goes that lies closest to the next newer one for its age.
+        """
+        ages, samples = np.concatenate([[0.0], self.ages]), np.vstack([y, self.samples])
+        if len(ages) > 2 * (degree + 1):
+            distances = np.diff(ages)[degree:] / ages[degree + 1 :]
+            closest = len(ages) - 1 - int(np.argmin(distances[::-1]))
+            ages, samples = np.delete(ages, closest), np.delete(samples, closest, axis=0)
+        return History(ages=ages, samples=samples)
+
+    def chosen(self, H: float, degree: int) -> History:
+        """Return the newest samples, at most degree + 1, that are far enough apart to be continued over H (s)."""
+        ages = self.ages.tolist()
+        indices = [0]
+        for index in range(1, len(ages)):
+            if len(indices) > degree:
+                break
+            if ages[index] - ages[indices[-1]] >= _LEAST_SPACING * H:
+                indices.append(index)
+        return History(ages=self.ages[indices], samples=self.samples[indices])
 
     def aged(self, H: float) -> History:
         """Return the history as seen H seconds later."""

@@ -93,10 +93,11 @@ class PaperObserver:
         inputs = np.array(u, dtype=float)
         if not np.all(np.isfinite(inputs)):
             inputs = state.u
-        history = state.history
+        history = held = state.history
         if start.valid:
             history = history.with_sample(np.array(y, dtype=float), self.hold_degree)
-        state = replace(state, history=history, u=inputs)
+            held = history.chosen(H, self.hold_degree)
+        state = replace(state, history=held, u=inputs)
 
         x_hat = state.x_hat
         substeps = self._substeps(state.elapsed, H)
@@ -107,7 +108,7 @@ class PaperObserver:
         elapsed = state.elapsed + H
         w_hat = state.w_hat
         if start.valid:
-            w_hat = self._unknown_inputs(elapsed, history.at(H) - self.linear.C @ x_hat)
+            w_hat = self._unknown_inputs(elapsed, held.at(H) - self.linear.C @ x_hat)
         after = ObserverState(x_hat=x_hat, elapsed=elapsed, history=history.aged(H), u=inputs, w_hat=w_hat)
         return after, replace(
             start,

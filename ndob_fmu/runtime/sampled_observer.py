@@ -15,7 +15,7 @@ from operator import mul
 
 import numpy as np
 
-from ndob_fmu.runtime.augmented import Augmented, augment
+from ndob_fmu.runtime.augmented import Augmented, augment, discretise
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.errors import DesignError
 from ndob_fmu.runtime.integrate import integrate
@@ -23,14 +23,13 @@ from ndob_fmu.runtime.kalman import Update, gain_change, predict, update
 from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
-from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design
+from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design, scaled_noise
 from ndob_fmu.runtime.sampled_state import Confidence, Numbers, SampledState, StepAtRest
+from ndob_fmu.runtime.sampling import Sampling, is_similar, sampling
 from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_std, tuned_intensities
 from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 ORDERS = tuple(range(HIGHEST_ORDER + 1))
-# The intensities are tuned anew where the step differs by more than this from the one they were tuned for.
-_SIMILAR_STEP = 0.1
 _AT_REST = 1e-7
 # A sample is refused where it lies further from its prediction than this many standard deviations, twice what the class
 # of disturbances always does, and what a jump of d by 2 D₀ could have led to since the sample before, together. After
@@ -76,6 +75,7 @@ class SampledObserver:
                 d_std=numbers(self.known.disturbance_bound),
                 at_rest=False,
                 tuned_at=0.0,
+                waited=0.0,
                 refused=0,
                 age=0,
             ),
@@ -87,7 +87,7 @@ class SampledObserver:
         Raises DesignError where there is none.
         """
         at = tuned_at or H
-        intensities = self._tuned((at,), lambda: self._intensities(at))
+        intensities = self._tuned_intensities(at)
         return self._designed(
             (H, at), lambda: sampled_design(self.system, H, self.known.R_factor, intensities, self.alpha)
         )
@@ -152,7 +152,7 @@ class SampledObserver:
         return SampledState(xi_hat, d_hat, u, residual, rest.confidence), outputs, xi_at_sample
 
     def _at_rest(self, H: float, tuned_at: float) -> StepAtRest | None:
-        if self._tuned_elsewhere(H, tuned_at):
+        if not is_similar(H, tuned_at):
             return None
         try:
             constants = self.equations.steps.observer_constants(self.parameters)
@@ -174,6 +174,7 @@ class SampledObserver:
                 d_std=d_std,
                 at_rest=True,
                 tuned_at=tuned_at,
+                waited=0.0,
                 refused=0,
                 age=self._start_up,
             ),
@@ -181,12 +182,14 @@ class SampledObserver:
 
     def step_by_definition(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
         """Do what `step` does for every state and every sample."""
-        before = state.confidence
-        tuned_at = H if self._tuned_elsewhere(H, before.tuned_at) else before.tuned_at
-        design = self.design(H, tuned_at)
+        plan = sampling(H, state.confidence.tuned_at, state.confidence.waited, self.equations.experiment.step_size)
         inputs = tuple(map(float, u))
         if not np.all(np.isfinite(inputs)):
             inputs = state.u
+        before = self._tuned_for(state.confidence, plan.tuned_at)
+        design = self.design(plan.designed_for, plan.tuned_at)
+        if not plan.used:
+            return self._without_sample(replace(state, u=inputs, confidence=before), y, H, plan, design)
         xi_hat, factor, d_hat = self._xi(state), before.factor, np.array(state.d_hat)
         residual, used = self._residual(xi_hat, y)
         measured = design.rest if before.at_rest else update(factor, self.system.C, design.sample_factor)
@@ -210,9 +213,9 @@ class SampledObserver:
         if used:
             xi_hat, factor = xi_hat + measured.K @ residual, measured.factor
             d_hat = self._disturbance(xi_hat, design, measured, residual)
-        at_rest = used and age >= self._start_up
+        at_rest = used and age >= self._start_up and design.discrete.H == H
         at_rest = at_rest and (before.at_rest or gain_change(measured, design.rest) <= _AT_REST)
-        factor = design.prior_factor if at_rest else self._covariance_ahead(factor, design, age)
+        factor = design.prior_factor if at_rest else self._covariance_ahead(factor, design, H, age)
         xi_after = self._predicted(xi_hat, d_hat, list(inputs), H, coasting=not used)
         d_after = xi_after[self._n : self._n + len(d_hat)] if self.system.order else d_hat
         after = SampledState(
@@ -224,7 +227,8 @@ class SampledObserver:
                 factor=factor,
                 d_std=numbers(self._std(design, factor)),
                 at_rest=at_rest,
-                tuned_at=tuned_at,
+                tuned_at=plan.tuned_at,
+                waited=0.0,
                 refused=refused,
                 age=min(age + 1, self._start_up),
             ),
@@ -239,6 +243,54 @@ class SampledObserver:
             valid=used,
         )
 
+    def _without_sample(
+        self, state: SampledState, y: Vector, H: float, plan: Sampling, design: SampledDesign
+    ) -> tuple[SampledState, Estimate]:
+        """Predict over a short step; its sample y (p,) is shown against the prediction and not used."""
+        before, d_hat = state.confidence, np.array(state.d_hat)
+        residual, finite = self._residual(self._xi(state), y)
+        xi_after = self._predicted(self._xi(state), d_hat, state.u, H, coasting=True)
+        factor = self._covariance_ahead(before.factor, design, H, before.age)
+        if self.system.selector is None:
+            # d̂ is held: what d may do meanwhile counts like the bias of `steady_std`.
+            d_std = np.array(before.d_std) + self.known.disturbance_rate * H / np.sqrt(3.0)
+        else:
+            d_hat = xi_after[self._n : self._n + len(d_hat)]
+            d_std = self._std(design, factor)
+        after = SampledState(
+            xi_hat=numbers(xi_after) + (0.0,) * (len(state.xi_hat) - len(xi_after)),
+            d_hat=numbers(d_hat),
+            u=state.u,
+            deviation=state.deviation,
+            confidence=replace(
+                before,
+                factor=factor,
+                d_std=numbers(d_std),
+                at_rest=False,
+                tuned_at=plan.tuned_at,
+                waited=plan.waited,
+            ),
+        )
+        return after, Estimate(
+            x_hat=numbers(xi_after[: self._n]),
+            d_hat=after.d_hat,
+            x_at_sample=state.xi_hat[: self._n],
+            d_at_sample=state.d_hat,
+            d_std=after.confidence.d_std,
+            residual=numbers(residual),
+            valid=finite and before.refused == 0,
+        )
+
+    def _tuned_for(self, confidence: Confidence, tuned_at: float) -> Confidence:
+        """Return the confidence as it counts for intensities tuned at another step: no gain is frozen for them yet."""
+        if confidence.tuned_at in (0.0, tuned_at):
+            return confidence
+        old, new = self._tuned_intensities(confidence.tuned_at).scale, self._tuned_intensities(tuned_at).scale
+        return replace(confidence, factor=confidence.factor * (new / old), at_rest=False)
+
+    def _tuned_intensities(self, H: float) -> Intensities:
+        return self._tuned((H,), lambda: self._intensities(H))
+
     def _xi(self, state: SampledState) -> Array:
         """Return ξ̂⁻ (N,)."""
         return np.array(state.xi_hat[: len(self.system.A)])
@@ -248,9 +300,6 @@ class SampledObserver:
         sample = np.array(y, dtype=float)
         finite = bool(np.all(np.isfinite(sample)))
         return (sample - self.system.C @ xi_hat if finite else np.zeros(len(sample))), finite
-
-    def _tuned_elsewhere(self, H: float, tuned_at: float) -> bool:
-        return abs(H - tuned_at) > _SIMILAR_STEP * tuned_at
 
     @property
     def _n(self) -> int:
@@ -266,20 +315,24 @@ class SampledObserver:
     def _start_up(self) -> int:
         return _START_UP * len(self.system.A)
 
-    def _covariance_ahead(self, factor: Array, design: SampledDesign, age: int) -> Array:
-        """Return the covariance's factor (N,N) a step later, with what f(x) − f(x̂) may do meanwhile.
+    def _covariance_ahead(self, factor: Array, design: SampledDesign, H: float, age: int) -> Array:
+        """Return the covariance's factor (N,N) a step H later, with what f(x) − f(x̂) may do meanwhile.
 
         That is at most γ times the error of f's states, as far as it exceeds that at rest, which the intensities cover.
         A state that nothing but the plant's zeros forgets keeps f wrong long after the rest is known. Where γ is so
         large that this bound would feed itself for ever, it counts for the start only.
         """
-        ahead = predict(factor, design.discrete.filter_phi, design.noise_factor)
+        discrete, noise_factor = design.discrete, design.noise_factor
+        if discrete.H != H:
+            discrete = discretise(self.system, H, self.alpha)
+            noise_factor = scaled_noise(discrete, design.intensities)
+        ahead = predict(factor, discrete.filter_phi, noise_factor)
         if age >= self._start_up and not self._f_error_fades(design):
             return ahead
         f_states = list(self.equations.f_states)
         excess = np.sum(ahead[f_states] ** 2) - np.sum(design.prior_factor[f_states] ** 2)
         f_error = self.equations.lipschitz * float(np.sqrt(max(excess, 0.0)))
-        return predict(ahead, np.eye(len(ahead)), f_error * design.discrete.held_f)
+        return predict(ahead, np.eye(len(ahead)), f_error * discrete.held_f)
 
     def _f_error_fades(self, design: SampledDesign) -> bool:
         gamma, f_states = self.equations.lipschitz, self.equations.f_states

@@ -17,14 +17,15 @@ class Confidence:
     """How good ξ̂⁻ is, and how it came to be so.
 
     factor (N,N): of its covariance; d_std (q2,): error bar of d̂; at_rest: whether the gain is frozen; tuned_at: the
-    step (s) that the intensities were tuned for, 0 before the first one; refused: samples refused in a row; age: steps
-    since the start, as far as they count.
+    step (s) that the intensities were tuned for, 0 before the first one; waited: time (s) of the short steps since the
+    last sample that was used; refused: samples refused in a row; age: steps since the start, as far as they count.
     """
 
     factor: Array
     d_std: Numbers
     at_rest: bool
     tuned_at: float
+    waited: float
     refused: int
     age: int
 
