@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ndob_fmu import plots
 from ndob_fmu.cosim import simulate
-from ndob_fmu.results import Recording, write_csv, write_json
+from ndob_fmu.results import Recording, atomic_folder
+from ndob_fmu.run_files import write_run
 from ndob_fmu.run_folder import describe, draw
 
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
@@ -96,7 +97,14 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
         },
         "wall_time": wall_time,
     }
-    write_csv(results / "result.csv", recording)
+    with atomic_folder(results) as new:
+        write_run(new, recording, summary)
+        _draw_figures(new, shown, peaking, everyday)
+        draw(new, system)
+    return summary
+
+
+def _draw_figures(results: Path, shown: Verdict, peaking: Verdict, everyday: Verdict) -> None:
     label = "load torque [N·m]"
     plots.plot_disturbance(
         results / "fig1_disturbance.png",
@@ -122,6 +130,3 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
         },
         label="error of d̂ [N·m]",
     )
-    draw(results, system)
-    write_json(results / "summary.json", summary)
-    return summary

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 import platform
+import shutil
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -22,6 +24,7 @@ from ndob_fmu.errors import UsageError, nearest, one_of, some_of
 
 SYSTEM_PICTURE = "system.svg"  # the name of the picture of the system in a folder of results
 _VALUES_IN_A_BLOCK = 100_000  # a Python number takes 32 bytes: some megabytes
+_SEAL = "sha256"  # the entry of a JSON file with the digest of the others
 _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
 
 
@@ -88,6 +91,31 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+@contextmanager
+def atomic_folder(folder: str | Path) -> Iterator[Path]:
+    """Give a temporary folder; its files move into ``folder`` if the block succeeds, and vanish if it fails.
+
+    Files of the same names are replaced, others stay. The temporary folder lies in ``folder``, made if it is missing.
+    Raises UsageError if the place cannot be written.
+    """
+    target = Path(folder)
+    new = not target.exists()
+    temporary = target / f".{uuid.uuid4().hex[:12]}"
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        for path in sorted(temporary.iterdir()):
+            path.replace(target / path.name)
+        new = False
+    except OSError as error:
+        raise UsageError.report(str(target), expected="a folder that can be written", received=str(error)) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if new:
+            with suppress(OSError):  # where it could not be made
+                target.rmdir()
+
+
 def write_csv(path: str | Path, recording: Recording) -> None:
     """Write fmpy's CSV form: quoted header with ``time`` first, one row per communication point.
 
@@ -120,7 +148,7 @@ def read_csv(path: str | Path) -> Recording:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:  # -sig: spreadsheets write a byte-order mark
             names = next(csv.reader(file), [])
             lines = [line.replace("True", "1").replace("False", "0") for line in file]  # as fmpy writes Booleans
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
     if not names or names[0] != "time" or len(set(names)) != len(names):
         raise UsageError.report(
@@ -145,19 +173,49 @@ def write_json(path: str | Path, data: Any) -> None:
     Raises UsageError if the file cannot be written; an older file then stays as it was.
     """
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(_plain(data), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(plain(data), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
+def write_sealed_json(path: str | Path, data: Mapping[str, Any]) -> None:
+    """Write a mapping as `write_json`, with an entry ``sha256`` by which a reader notices that the others have changed.
+
+    Raises UsageError if the file cannot be written; an older file then stays as it was.
+    """
+    entries = plain(dict(data))
+    write_json(path, {**entries, _SEAL: _seal(entries)})
+
+
+def read_sealed_json(path: str | Path) -> dict[str, Any]:
+    """Return what `write_sealed_json` was given; raise UsageError for a file that is missing or has changed since."""
+    where = str(path)
+    try:
+        found = json.loads(Path(path).read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise UsageError.report(where, expected="a JSON file that can be read", received=str(error)) from error
+    if not isinstance(found, dict) or found.pop(_SEAL, None) != _seal(found):
+        raise UsageError.report(
+            where,
+            expected=f"an object with the {_SEAL} of its entries",
+            received="another one or none",
+            likely="the file was edited, or the disk or a copy has damaged it",
+        )
+    return found
+
+
+def _seal(entries: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
+
+
+def plain(value: Any) -> Any:
     """Return ``value`` in the types that JSON has; JSON has no NaN, and readers reject the one that Python writes."""
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
 
 

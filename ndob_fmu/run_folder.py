@@ -13,14 +13,15 @@ from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.cosim.system import Port
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import SimulationError
-from ndob_fmu.results import SYSTEM_PICTURE, software_versions, write_csv, write_json
+from ndob_fmu.results import SYSTEM_PICTURE, atomic_folder, software_versions
+from ndob_fmu.run_files import write_run
 
 
 def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recording:
     """Simulate, write result.csv, summary.json, signals and system into ``folder``, and return the recording.
 
-    settings: those of `simulate`. Raises what that raises, after having written what was recorded before a failure, and
-    UsageError if a file cannot be written.
+    All files are written or none. settings: those of `simulate`. Raises what that raises, after having written what was
+    recorded before a failure, and UsageError if a file cannot be written.
     """
     began = time.perf_counter()
     failure: SimulationError | None = None
@@ -31,12 +32,12 @@ def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recordin
             raise
         recording, failure = error.recording, error
     wall_time = time.perf_counter() - began
-    write_csv(folder / "result.csv", recording)
     summary = describe(system, recording, settings.get("start_values"))
     how = {"failed": failure and str(failure), "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time}
-    write_json(folder / "summary.json", {**summary, **how})
-    plots.plot_signals(folder / "signals.png", recording)
-    draw(folder, system)
+    with atomic_folder(folder) as new:
+        write_run(new, recording, {**summary, **how})
+        plots.plot_signals(new / "signals.png", recording)
+        draw(new, system)
     if failure is not None:
         raise failure
     return recording

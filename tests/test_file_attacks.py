@@ -22,3 +22,11 @@ def test_damaged_and_malicious_archives_are_refused_in_one_line_or_read_as_what_
     assert "refuse" in line
     assert "accept" in line
     assert line.endswith("; 0 faults")
+
+
+def test_damaged_results_are_read_as_they_were_written_or_not_at_all():
+    line = attack("bit_flips", trials=70, seed=2)
+    assert "0 changed tables, 0 raw exceptions" in line
+    assert "go on with a study: done again" in line
+    assert "read a run: refused in one line" in line
+    assert line.endswith("; 0 faults")

@@ -178,7 +178,7 @@ def test_a_result_from_elsewhere_is_reported_with_what_there_is(driver, tmp_path
     [
         (lambda folder: None, r"result\.csv \(a run\) or study\.json \(a study\), received neither"),
         (lambda folder: (folder / "result.csv").write_text("a,b\n1,2\n"), r"expected a header of different names"),
-        (lambda folder: (folder / "study.json").write_text("{"), r"study\.json: expected a study's plan"),
+        (lambda folder: (folder / "study.json").write_text("{"), r"study\.json: expected a JSON file that can be read"),
     ],
 )
 def test_a_folder_without_results_is_refused_in_one_line(tmp_path, make, words):

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import threading
@@ -131,7 +132,9 @@ def test_a_full_disk_ends_the_study_in_one_line_and_keeps_what_was_finished(walk
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))  # no file of this process may become larger
     try:
-        with pytest.raises(UsageError, match=r"runs_\d+_\d+\.parquet: expected a file that can be written, received"):
+        with pytest.raises(
+            UsageError, match=r"runs_\d+_\d+_\w+\.parquet: expected a file that can be written, received"
+        ):
             sweep(study, results, scheduler=cluster[0])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
@@ -141,18 +144,75 @@ def test_a_full_disk_ends_the_study_in_one_line_and_keeps_what_was_finished(walk
 
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_runs(walk, tmp_path):
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(UsageError, match=r"study\.json: expected a file that can be written"):
+    with pytest.raises(UsageError, match=r"file: expected a folder that can be written"):
         sweep(walk[0], tmp_path / "file", scheduler="tcp://127.0.0.1:1")
 
 
-def test_a_shard_that_is_damaged_is_named(walk, tmp_path):
-    _, folder, _ = walk
-    results = tmp_path / "results"
-    (results / "shards").mkdir(parents=True)
-    (results / "study.json").write_bytes((folder / "study.json").read_bytes())
-    (results / "shards" / "runs_00000000_00000003.parquet").write_bytes(b"PAR1 cut off")
-    with pytest.raises(UsageError, match=r"runs_00000000_00000003\.parquet: expected a Parquet file"):
-        sweep(walk[0], results, scheduler="tcp://127.0.0.1:1")
+def test_runs_in_a_damaged_shard_are_done_again_which_is_said_in_one_line(walk, cluster, tmp_path, capsys, caplog):
+    study, folder, _ = walk
+    results = shutil.copytree(folder, tmp_path / "results")
+    shard = min((results / "shards").iterdir())
+    runs = pq.read_table(shard).num_rows
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 4
+    shard.write_bytes(data)
+    (results / "study.json").unlink()
+    with pytest.raises(UsageError, match=r"study\.json: expected a JSON file that can be read"):
+        read_runs(results)
+    assert sweep(study, results, scheduler=cluster[0]).done == runs
+    (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("ndob_fmu")]
+    assert re.search(r"results: 1 of \d+ shards are damaged .* in damaged now, and their runs are done again", line)
+    assert (results / "damaged" / shard.name).read_bytes() == data
+    columns = ["run", "u", "y", "step_size", "end", "least", "failed", "reason"]
+    assert read_runs(results).select(columns) == read_runs(folder).select(columns)
+
+
+def test_a_report_of_damaged_shards_ends_in_one_line(walk, tmp_path, capsys):
+    results = shutil.copytree(walk[1], tmp_path / "results")
+    shard = min((results / "shards").iterdir())
+    shard.write_bytes(shard.read_bytes()[:-100])
+    assert main(["report", str(results)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert f"{shard.name}: expected a file whose bytes have the digest in its name" in err
+    assert "`ndob-fmu sweep` does its runs again" in err
+
+
+@pytest.mark.parametrize("text", ["", "[]", "null", "{}", "[" * 100_000, '{"digest": 1' + "0" * 5000 + "}"])
+def test_a_plan_that_is_none_ends_a_report_in_one_line_and_a_study_writes_it_anew(walk, tmp_path, capsys, text):
+    study, folder, _ = walk
+    results = shutil.copytree(folder, tmp_path / "results")
+    (results / "study.json").write_text(text)
+    assert main(["report", str(results)]) == 2
+    err = capsys.readouterr().err
+    assert "study.json: expected" in err
+    assert err.count("\n") == 1
+    assert sweep(study, results, scheduler="tcp://127.0.0.1:1").done == 0
+    assert (results / "study.json").read_bytes() == (folder / "study.json").read_bytes()
+
+
+def test_a_changed_study_is_noticed_where_study_json_is_gone(walk, fmus, tmp_path):
+    results = shutil.copytree(walk[1], tmp_path / "results")
+    (results / "study.json").unlink()
+    before = sorted(results.rglob("*.parquet"))
+    other = read_study(write(tmp_path, "walk", WALK.replace("-3.0", "-4.0"), fmus))
+    with pytest.raises(UsageError, match=r"received runs of another one, without a valid study\.json"):
+        sweep(other, results, scheduler="tcp://127.0.0.1:1")
+    assert sorted(results.rglob("*.parquet")) == before
+
+
+def test_a_second_command_on_a_folder_says_who_holds_it_until_that_one_is_gone(walk, tmp_path):
+    study, folder, _ = walk
+    results = shutil.copytree(folder, tmp_path / "r")
+    program = "import sys; from pathlib import Path; from ndob_fmu.study.lock import locked\n"
+    program += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", program, str(results)], **pipes) as holder:
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(UsageError, match=rf"r: expected .*one in use by process {holder.pid} on .*since 20"):
+            sweep(study, results)
+        holder.kill()
+    assert sweep(study, results).done == 0
 
 
 def test_an_unreachable_scheduler_is_named(walk, fmus, tmp_path, monkeypatch, capsys):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from ndob_fmu.errors import UsageError
 from ndob_fmu.report.content import Content, Table, pretty, text
 from ndob_fmu.report.signals import estimates, thinned
-from ndob_fmu.results import Recording, read_csv
+from ndob_fmu.results import Recording
+from ndob_fmu.run_files import read_run
 
 LAYOUT: dict[str, Any] = {
     "template": "plotly_white",
@@ -26,7 +25,7 @@ LAYOUT: dict[str, Any] = {
 
 def run_content(folder: Path) -> Content:
     """Return the report of the run whose result.csv, and summary.json if there is one, lie in ``folder``."""
-    recording, summary = read_csv(folder / "result.csv"), _summary(folder / "summary.json")
+    recording, summary = read_run(folder)
     units = {name: pretty(unit) for name, unit in summary.get("units", {}).items()}
     span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
     system = summary.get("system") or folder.name
@@ -50,16 +49,6 @@ def run_content(folder: Path) -> Content:
 
 _SECONDS = ("step_size", "start_time", "stop_time", "wall_time", "settling_time")
 _SEPARATE = ("parameters", "units", "versions", "system")
-
-
-def _summary(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        return {}
-    try:
-        found: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UsageError.report(str(path), expected="JSON", received=str(error)) from error
-    return found
 
 
 def _flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -12,9 +12,11 @@ import plotly.graph_objects as go
 
 from ndob_fmu.report.content import Content, Table, pretty, text
 from ndob_fmu.report.run import LAYOUT
+from ndob_fmu.results import read_sealed_json
 from ndob_fmu.study.columns import RUN
 from ndob_fmu.study.figures import Axis, axes_of, cell_medians, named
-from ndob_fmu.study.store import column, read_plan, read_runs
+from ndob_fmu.study.plan import read_plan
+from ndob_fmu.study.store import column, read_runs
 from ndob_fmu.study.summary import statistics
 
 _MOST_LINES = 5000
@@ -59,8 +61,8 @@ def study_content(folder: Path) -> Content:
 
 def _summary(folder: Path) -> dict[str, Any]:
     path = folder / "summary.json"  # absent while the study is under way
-    found: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
-    return found
+    found = read_sealed_json(path) if path.exists() else {}
+    return {name: entries for name, entries in found.items() if isinstance(entries, dict)}
 
 
 def _statistics(found: Mapping[str, Mapping[str, Any]], units: Mapping[str, str]) -> Iterator[tuple[str, ...]]:

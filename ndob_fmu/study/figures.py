@@ -17,7 +17,8 @@ from matplotlib.colors import LogNorm, Normalize
 from numpy.typing import NDArray
 
 from ndob_fmu import plots
-from ndob_fmu.study.store import column, read_plan, read_runs
+from ndob_fmu.study.plan import read_plan
+from ndob_fmu.study.store import column, read_runs
 
 Array = NDArray[np.float64]
 _MOST_CELLS = 12  # along an axis of the heat map

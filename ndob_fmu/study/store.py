@@ -1,31 +1,41 @@
-"""The results folder of a study: which study it is, and the finished runs in Parquet shards.
+"""The results folder of a study: which study it is, and the finished runs.
 
-study.json                      what was asked, and its fingerprint
-shards/runs_<first>_<last>.parquet   rows of runs that finished together, whole or absent
+study.json     what was asked, and its fingerprint
+shards/        rows of runs that finished together, each file whole or absent
+damaged/       shards that were not as written, or of another study, whose runs were done again
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Sequence
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ndob_fmu.cosim import open_system
 from ndob_fmu.cosim.picture import write_picture
-from ndob_fmu.errors import UsageError, some_of
-from ndob_fmu.results import SYSTEM_PICTURE, atomic_path, write_json
+from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.results import SYSTEM_PICTURE, plain, write_sealed_json
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
+from ndob_fmu.study.plan import PLAN, read_plan
+from ndob_fmu.study.shards import (
+    DamagedShardError,
+    ForeignShardError,
+    read_shard,
+    shard_paths,
+    study_schema,
+    unfinished_paths,
+    write_shard,
+)
 
-_PLAN = "study.json"
-_SHARDS = "shards"
+_DAMAGED = "damaged"
+_log = logging.getLogger(__name__)
 
 
 class Store:
@@ -34,23 +44,55 @@ class Store:
     def __init__(self, folder: Path, study: Study) -> None:
         """Start or go on with the study in ``folder``.
 
-        Raises UsageError if the folder holds another study, or what cannot be read, or cannot be written.
+        Shards that are damaged or belong to another study are moved to ``damaged``, with one line of warning. Raises
+        UsageError if the folder holds another study, or cannot be read or written.
         """
         self.folder = folder
         self._schema = _schema(study)
+        self._types = {entry.name: entry.type for entry in self._schema}
         self.finished = np.zeros(len(study.points), dtype=np.bool_)
         self._succeeded = np.zeros(len(study.points), dtype=np.bool_)
-        plan = folder / _PLAN
-        if plan.exists():
-            _require_same(plan, study)
-        else:
-            write_json(plan, {**study.to_dict(), "digest": study.digest})
+        kinds = {path: self._kind(path, study) for path in shard_paths(folder)}
+        planned = _planned(folder, study)
+        if planned is None and "foreign" in kinds.values() and "own" not in kinds.values():
+            raise _another(folder, "runs of another one, without a valid study.json")
+        if not planned:  # the shards are the study's, or there are none
+            write_sealed_json(folder / PLAN, {**study.to_dict(), "digest": study.digest})
             with open_system(study.system) as (system, _):
                 write_picture(folder / SYSTEM_PICTURE, system, Path(study.system).name)
-        for path in (folder / _SHARDS).glob(".runs_*"):  # of a command that was killed while it wrote
-            path.unlink()
-        for path in _shards(folder):
-            self._count(_read(path, [RUN, FAILED]))
+        try:
+            for path in unfinished_paths(folder):
+                path.unlink()
+            self._set_aside([path for path, kind in kinds.items() if kind != "own"], len(kinds))
+        except OSError as error:
+            raise UsageError.report(
+                str(folder), expected="a folder that can be written", received=str(error)
+            ) from error
+
+    def _kind(self, path: Path, study: Study) -> str:
+        """Count the runs of a shard if it is the study's own; return whether it is own, foreign or damaged."""
+        try:
+            table = read_shard(path, study.digest, len(study.points))
+        except ForeignShardError:
+            return "foreign"
+        except DamagedShardError:
+            return "damaged"
+        if not table.schema.equals(self._schema):
+            return "damaged"
+        self._count(table)
+        return "own"
+
+    def _set_aside(self, paths: Sequence[Path], total: int) -> None:
+        if not paths:
+            return
+        aside = self.folder / _DAMAGED
+        aside.mkdir(exist_ok=True)
+        for path in paths:
+            path.replace(aside / path.name)
+        _log.warning(
+            "%s: %d of %d shards are damaged or of another study; they are in %s now, and their runs are done again",
+            *(self.folder, len(paths), total, aside.name),
+        )
 
     @property
     def failed(self) -> NDArray[np.bool_]:
@@ -59,17 +101,11 @@ class Store:
 
     def save(self, rows: Sequence[dict[str, Any]]) -> None:
         """Keep finished runs for good; raise UsageError if they cannot be written, and keep those before."""
-        table = pa.Table.from_pylist(sorted(rows, key=lambda row: int(row[RUN])), schema=self._schema)
-        runs = table[RUN].to_numpy()
-        stem = f"runs_{runs[0]:08d}_{runs[-1]:08d}"
-        # Failed runs that are done again may begin and end like a shard that has others between them.
-        path = self.folder / _SHARDS / f"{stem}.parquet"
-        again = 0
-        while path.exists():
-            again += 1
-            path = path.with_name(f"{stem}_{again}.parquet")
-        with atomic_path(path) as temporary:
-            pq.write_table(table, temporary)
+        ordered = sorted(rows, key=lambda row: int(row[RUN]))
+        columns = {name: [row.get(name) for row in ordered] for name in self._types}
+        arrays = [_array(columns[name], kind) for name, kind in self._types.items()]
+        table = pa.Table.from_arrays(arrays, schema=self._schema)
+        write_shard(self.folder, table)
         self._count(table)
 
     def forget_failures(self) -> None:
@@ -82,28 +118,22 @@ class Store:
         self._succeeded[runs[~failed]] = True
 
 
-def read_plan(folder: Path) -> dict[str, Any]:
-    """Return study.json; raise UsageError if there is none that can be read."""
-    try:
-        plan: dict[str, Any] = json.loads((folder / _PLAN).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UsageError.report(str(folder / _PLAN), expected="a study's plan", received=str(error)) from error
-    return plan
-
-
 def read_runs(folder: Path, *, signals: bool = False) -> pa.Table:
     """Return a row for each finished run, in the order of runs; signals: with the recorded signals over time.
 
-    Raises UsageError for a shard that cannot be read.
+    Raises UsageError for a shard that is damaged or of another study.
     """
-    tables = []
-    for path in _shards(folder):
-        schema = pq.read_schema(path)
-        tables.append(_read(path, [entry.name for entry in schema if signals or not pa.types.is_list(entry.type)]))
+    plan = read_plan(folder)
+    tables = [read_shard(path, plan["digest"], plan["runs"], lists=signals) for path in shard_paths(folder)]
     if not tables:
         raise UsageError.report(str(folder), expected="a study with finished runs", received="none")
-    table = pa.concat_tables(tables)
-    # The later row stands where a failed run was done again.
+    try:
+        table = pa.concat_tables(tables)
+    except pa.ArrowException as error:
+        raise UsageError.report(str(folder), expected="shards of one study", received=str(error)) from error
+    if missing := {*plan["varied"], *plan["measures"]} - {*table.column_names}:
+        raise UsageError.report(str(folder), expected="a column for each measure", received=f"none for {min(missing)}")
+    # A failed run may have been done again: its later row counts.
     order = pc.sort_indices(table, sort_keys=[(RUN, "ascending"), (FAILED, "ascending")])
     table = table.take(order)
     runs = table[RUN].to_numpy()
@@ -116,20 +146,6 @@ def column(table: pa.Table, name: str) -> NDArray[Any]:
     return np.asarray(values)
 
 
-def _shards(folder: Path) -> Iterable[Path]:
-    return sorted((folder / _SHARDS).glob("runs_*.parquet"))
-
-
-def _read(path: Path, columns: Sequence[str]) -> pa.Table:
-    try:
-        return pq.ParquetFile(path).read(columns=list(columns))
-    except (OSError, pa.ArrowException) as error:
-        received = str(error).partition("\n")[0]
-        raise UsageError.report(
-            str(path), expected="a Parquet file with the runs of a study", received=received
-        ) from error
-
-
 def _schema(study: Study) -> pa.Schema:
     entries = [(RUN, pa.int64())]
     entries += [(name, _type(levels)) for name, levels in study.points.levels().items()]
@@ -137,7 +153,7 @@ def _schema(study: Study) -> pa.Schema:
     entries += [(FAILED, pa.bool_()), (REASON, pa.string()), (ENDED_AT, pa.float64()), (WALL_TIME, pa.float64())]
     if study.record:
         entries += [(name, pa.list_(pa.float64())) for name in (TIME, *map(over_time, study.record))]
-    return pa.schema(entries)
+    return study_schema(entries, study.digest)
 
 
 def _type(levels: Sequence[Any]) -> pa.DataType:
@@ -149,14 +165,29 @@ def _type(levels: Sequence[Any]) -> pa.DataType:
     return pa.float64() if kinds <= {int, float} else pa.string()
 
 
-def _require_same(plan: Path, study: Study) -> None:
-    found = read_plan(plan.parent)
-    if found.get("digest") != study.digest:
-        now = study.to_dict()
-        changed = [key for key in now if key != "name" and found.get(key) != json.loads(json.dumps(now[key]))]
-        raise UsageError.report(
-            str(plan.parent),
-            expected="an empty folder or the results of this very study",
-            received="those of a study that differs in " + (some_of(changed) if changed else "its values or its FMUs"),
-            likely="the study file or an FMU has changed; --out names another folder",
-        )
+def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    if kind == pa.string():  # an Enumeration may be given by names and by numbers
+        values = [value if value is None else str(value) for value in values]
+    return pa.array(values, kind)
+
+
+def _planned(folder: Path, study: Study) -> bool | None:
+    """Return whether study.json is that of the study, None if there is none that is valid; raise if it is another's."""
+    try:
+        found = read_plan(folder)
+    except UsageError:
+        return None
+    if found["digest"] == study.digest:
+        return True
+    now = plain(study.to_dict())
+    changed = [key for key in now if key != "name" and found.get(key) != now[key]]
+    raise _another(folder, "those of a study that differs in " + (", ".join(changed) or "its values or its FMUs"))
+
+
+def _another(folder: Path, received: str) -> NdobError:
+    return UsageError.report(
+        str(folder),
+        expected="an empty folder or the results of this very study",
+        received=received,
+        likely="the study file or an FMU has changed; --out names another folder",
+    )

@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from ndob_fmu.results import atomic_path, software_versions, write_json
+from ndob_fmu.results import atomic_path, software_versions, write_sealed_json
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, WALL_TIME
-from ndob_fmu.study.store import column, read_plan, read_runs
+from ndob_fmu.study.plan import read_plan
+from ndob_fmu.study.store import column, read_runs
 from ndob_fmu.study.sweep import Tally
 
 _MOST_REASONS = 5
@@ -40,7 +41,7 @@ def summarize(folder: Path, tally: Tally) -> dict[str, Any]:
         },
         "versions": software_versions("distributed", "pyarrow"),
     }
-    write_json(folder / "summary.json", summary)
+    write_sealed_json(folder / "summary.json", summary)
     return summary
 
 

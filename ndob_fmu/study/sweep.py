@@ -18,6 +18,7 @@ from tqdm import tqdm
 from ndob_fmu.errors import NdobError, SimulationError
 from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
 from ndob_fmu.study.description import Study
+from ndob_fmu.study.lock import locked
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.store import Store
 from ndob_fmu.study.workers import StudyPlugin, connected, run_batch
@@ -54,10 +55,17 @@ def sweep(
     a bar on stderr with rate and time left; None shows it on terminals only.
 
     A run that fails is a row with its reason. Whatever ends the call, the runs that were finished before are kept, and
-    the same call goes on from there. Raises UsageError for a folder that cannot be used or a scheduler that cannot be
-    reached, SimulationError if the workers are lost.
+    the same call goes on from there. Raises UsageError for a folder that cannot be used or that another call works on,
+    and for a scheduler that cannot be reached, SimulationError if the workers are lost.
     """
-    store = Store(Path(folder), study)
+    with locked(Path(folder)):
+        return _sweep(study, Path(folder), workers, scheduler, retry_failed, progress)
+
+
+def _sweep(
+    study: Study, folder: Path, workers: int | None, scheduler: str | None, retry_failed: bool, progress: bool | None
+) -> Tally:
+    store = Store(folder, study)
     if retry_failed:
         store.forget_failures()
     missing = np.flatnonzero(~store.finished)

@@ -298,7 +298,7 @@ def main() -> int:
             counts[verdict] += 1
             if fault:
                 faults.append(f"trial {trial}, {attack.__name__}, {place}: {fault}")
-    return closing_line(counts, faults)
+    return closing_line(options, counts, faults)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,10 @@ def read_options(module: str, text: str, trials: int) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def closing_line(counts: Counter[str], faults: list[str]) -> int:
+def closing_line(options: argparse.Namespace, counts: Counter[str], faults: list[str]) -> int:
     """Print the faults and the counts; return the exit code."""
     for fault in faults[:20]:
         print(fault)
-    print(", ".join(f"{count} {name}" for name, count in counts.items()) + f"; {len(faults)} faults")
+    found = ", ".join(f"{count} {name}" for name, count in counts.items())
+    print(f"{options.trials} trials, seed {options.seed}: {found}; {len(faults)} faults")
     return 1 if faults else 0
