@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.cosim import open_system
 from ndob_fmu.cosim.picture import write_picture
-from ndob_fmu.errors import NdobError, UsageError
+from ndob_fmu.errors import NdobError, UsageError, some_of
 from ndob_fmu.results import SYSTEM_PICTURE, plain, write_sealed_json
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
@@ -181,7 +181,9 @@ def _planned(folder: Path, study: Study) -> bool | None:
         return True
     now = plain(study.to_dict())
     changed = [key for key in now if key != "name" and found.get(key) != now[key]]
-    raise _another(folder, "those of a study that differs in " + (", ".join(changed) or "its values or its FMUs"))
+    raise _another(
+        folder, "those of a study that differs in " + (some_of(changed) if changed else "its values or its FMUs")
+    )
 
 
 def _another(folder: Path, received: str) -> NdobError:
