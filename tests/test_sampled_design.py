@@ -13,8 +13,9 @@ from problems import RANDOM, minimum_phase_systems
 
 from ndob_fmu.runtime.augmented import augment
 from ndob_fmu.runtime.gains import LinearPart
+from ndob_fmu.runtime.kalman import gain_change
 from ndob_fmu.runtime.sampled_design import sampled_design
-from ndob_fmu.runtime.tuning import Knowledge, predicted_error, tuned_intensities
+from ndob_fmu.runtime.tuning import Knowledge, at_bandwidth, predicted_error, tuned_intensities
 
 RATE = 2.0 * np.pi
 # Those that are hard on the numbers: slow zeros, relative degrees up to three and of different sizes, more outputs.
@@ -59,6 +60,36 @@ def test_every_plant_has_a_gain_that_forgets_its_errors_fast_without_noise_and_s
         assert np.all(np.isfinite(bias + noise))
         if sigma < 1e-9:
             assert np.all(noise < bias)
+
+
+def rounded_anew(linear: LinearPart, seed: int) -> LinearPart:
+    """The same plant with other last bits in all of its numbers, as another processor might leave them."""
+    random = np.random.default_rng(seed)
+
+    def other(M):
+        return M * (1.0 + np.finfo(float).eps * random.choice([-1.0, 1.0], M.shape))
+
+    G_d = other(linear.G_d)
+    return replace(
+        linear, A=other(linear.A), C=other(linear.C), G_d=G_d, G_f=G_d if linear.matched else other(linear.G_f)
+    )
+
+
+@hard_problem
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_last_bits_of_the_plant_decide_nothing_and_change_the_gain_in_its_last_digits(problem, order):
+    """What three integrators leave of fast signals is as small as the rounding of dense states: hence the digits."""
+    for H, bandwidth, digits in ((1e-4, 0.01, 1e-9), (1e-4, 1.0, 1e-6), (1e-3, 0.01, 1e-11), (1e-3, 1.0, 1e-8)):
+        for sigma in (1e-15, 1e-2):
+            gains, predictions = [], []
+            for linear in (problem.linear, rounded_anew(problem.linear, 1), rounded_anew(problem.linear, 2)):
+                system, known = augment(linear, order), knowledge(linear, sigma, order)
+                found = sampled_design(system, H, known.R_factor, at_bandwidth(system, H, bandwidth / H, known), 0.3)
+                gains.append(found.rest)
+                predictions.append(predicted_error(found, known.disturbance_rate))
+            assert max(gain_change(gains[0], other) for other in gains[1:]) < digits
+            for other in predictions[1:]:
+                np.testing.assert_allclose(other, predictions[0], rtol=100.0 * digits)
 
 
 @hard_problem

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.runtime.augmented import Augmented, Discrete, discretise
 from ndob_fmu.runtime.exponential import exponential
-from ndob_fmu.runtime.kalman import Update, covariance_of, own_coordinates, stationary, update
+from ndob_fmu.runtime.kalman import Update, converged_factor, forward, own_coordinates, stationary, triangular, update
 from ndob_fmu.runtime.riccati import Array
 
 # The response to a jump counts as decayed where the error has come this near to its end, of the way that it was from
@@ -42,7 +42,8 @@ class SampledDesign:
     noise_factor (N,·) and sample_factor (p,p): of the noise over a step and in a sample as the covariance has them,
     `intensities.scale` times as large as they are; prior_factor (N,N): of the covariance P⁻ before a sample; rest: the
     update there, with the gain K (N,p);
-    M_H (q2,p): d̂ = M_H e for r = 0, exact at DC; None for r ≥ 1, where d̂ is part of ξ̂.
+    M_H (q2,p): d̂ = M_H e for r = 0, exact at DC; None for r ≥ 1, where d̂ is part of ξ̂;
+    own: the filter in its own coordinates.
     """
 
     system: Augmented
@@ -55,6 +56,7 @@ class SampledDesign:
     prior_factor: Array = field(repr=False)
     rest: Update = field(repr=False)
     M_H: Array | None
+    own: Own = field(repr=False)
 
     @property
     def K(self) -> Array:
@@ -69,40 +71,34 @@ class SampledDesign:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """The filter's poles (N,), in the z plane."""
-        return np.asarray(np.linalg.eigvals(self._own.F)).astype(complex)
+        return np.asarray(np.linalg.eigvals(self.own.after_sample)).astype(complex)
 
     def noise_std(self, *, ahead: bool = False) -> Array:
         """Return the standard deviation (q2,) that sample noise gives d̂, at the sample or a step `ahead` of it."""
-        own = self._own
-        X = covariance_of(own.F, own.K @ self.R_factor)
-        if self.M_H is not None or ahead:
-            X = own.Phi @ X @ own.Phi.T
+        own = self.own
+        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
         if self.M_H is not None:
-            S = own.C @ X @ own.C.T + self.R_factor @ self.R_factor.T
-            return np.asarray(np.sqrt(np.diag(self.M_H @ S @ self.M_H.T)))
-        return np.asarray(np.sqrt(np.diag(own.selector @ X @ own.selector.T)))
+            seen = np.hstack([own.C @ own.step @ factor, self.R_factor])
+            return np.asarray(np.linalg.norm(self.M_H @ seen, axis=1))
+        selector = own.selector @ (own.step if ahead else own.update)
+        return np.asarray(np.linalg.norm(selector @ factor, axis=1))
 
     def bias_gain(self, *, ahead: bool = False) -> Array:
         """Return |E| (q2,q2): the constant error of d̂_i where d_j's r-th derivative (the first, for r = 0) is one."""
-        own = self._own
-        identity = np.eye(len(own.F))
+        own = self.own
         if self.M_H is not None:
             # A step later d̂ is still the one read at the sample.
             lag = self.discrete.H * np.eye(len(self.M_H)) if ahead else 0.0
             return np.abs(self.M_H @ own.C @ self._ramp_error() - lag)
-        drive = own.inverse @ self.discrete.drive
-        error = np.linalg.solve(identity - own.F, own.update @ drive)
-        if ahead:
-            error = own.Phi @ error + drive
-        return np.asarray(np.abs(own.selector @ error))
+        error = own.settled(forward(own.T, self.discrete.drive))
+        return np.asarray(np.abs(own.selector @ (error if ahead else own.update @ own.update.T @ error)))
 
     @cached_property
     def usual_innovation(self) -> Array:
         """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what samples show of it."""
-        own = self._own
+        own = self.own
         source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
-        error = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, own.inverse @ source)
-        return np.asarray(np.abs(own.C @ error))
+        return np.asarray(np.abs(own.C @ own.settled(forward(own.T, source))))
 
     @cached_property
     def jump_responses(self) -> Array:
@@ -110,22 +106,26 @@ class SampledDesign:
 
         Each i is another instant of the jump within its step. J is where they have decayed, 200 at most.
         """
-        own, n, order = self._own, len(self.system.linear.A), self.system.order
+        own, n, order = self.own, len(self.system.linear.A), self.system.order
         q = self.discrete.held_disturbance.shape[1]
 
         def error_after(duration: float) -> Array:
             since = discretise(self.system, duration, self.alpha)
-            return own.inverse @ (since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
+            return forward(own.T, since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
 
         errors = np.array([error_after((1.0 - instant) * self.discrete.H) for instant in _INSTANTS])
         lasting = error_after(self.discrete.H) if order == 0 else np.zeros((n + order * q, q))
-        settled = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, lasting)
+        settled = own.settled(lasting)
+
+        def distance_left() -> float:
+            return float(np.linalg.norm([forward(own.update, error - settled) for error in errors]))
+
         responses = [np.zeros((len(errors), len(own.C), q)), own.C @ errors]
-        distance = largest = np.linalg.norm(errors - settled)
+        distance = largest = distance_left()
         while distance > _DECAYED * largest and len(responses) <= _LONGEST_RESPONSE:
-            errors = own.Phi @ (own.update @ errors) + lasting
+            errors = own.before_sample @ errors + lasting
             responses.append(own.C @ errors)
-            distance = np.linalg.norm(errors - settled)
+            distance = distance_left()
             largest = max(largest, distance)
         return np.asarray(np.abs(np.stack(responses, axis=1)))
 
@@ -134,61 +134,65 @@ class SampledDesign:
 
         At rest, and infinite where there is none.
         """
-        own = self._own
-        X = covariance_of(own.Phi @ own.update, own.inverse @ self.discrete.held_f)
-        rows = own.T[list(states)]
-        with np.errstate(invalid="ignore"):
-            return float(np.nan_to_num(np.sum((rows @ X) * rows), nan=np.inf))
+        own = self.own
+        factor = converged_factor(own.before_sample, forward(own.T, self.discrete.held_f))
+        return float(np.sum((own.T[list(states)] @ factor) ** 2)) if np.all(np.isfinite(factor)) else np.inf
 
     def _ramp_error(self) -> Array:
         """Return b (n,q2) of the error before the update for r = 0 and d = t in one channel each, x̃⁻ = a t/H + b."""
-        own, H, linear = self._own, self.discrete.H, self.system.linear
+        own, H, linear = self.own, self.discrete.H, self.system.linear
         n, q_d = linear.G_d.shape
         # Over a step the ramp adds the integral of e^{A(H−s)} G s, which is the drive of a doubly integrated channel.
         chain = np.zeros((n + 2 * q_d, n + 2 * q_d))
         chain[:n, :n], chain[:n, n : n + q_d] = linear.A, linear.G_d
         chain[n : n + q_d, n + q_d :] = np.eye(q_d)
-        sampled = own.inverse @ exponential(chain * H)[:n]
+        sampled = forward(own.T, exponential(chain * H)[:n])
         from_d, from_rate = sampled[:, n : n + q_d], sampled[:, n + q_d :]
-        unsettled = np.eye(n) - own.Phi @ own.update
-        a = np.linalg.solve(unsettled, from_d * H)
-        return np.asarray(np.linalg.solve(unsettled, from_rate - a))
-
-    @cached_property
-    def _own(self) -> _Own:
-        return _own(self.system, self.discrete, self.rest)
+        return own.settled(from_rate - own.settled(from_d * H))
 
 
 @dataclass(frozen=True)
-class _Own:
-    """Φ, K, C and the selector in coordinates ξ = T z in which P is I, where solving loses no digits; T (N,N)."""
+class Own:
+    """The filter in coordinates in which its covariance is I, where solving loses no digits.
+
+    The error is T z⁻ before a sample with the noise sample_factor v, and T update z after it, z = updateᵀ z⁻ − gain v;
+    a step later z⁻ = step z. T, update, step (N,N), gain (N,p); C (p,N) and selector (q2,N) act on z⁻. Both covariances
+    are I, so that update and step are contractions; I − K C = T update updateᵀ T⁻¹ is no difference of large numbers.
+    """
 
     T: Array
-    inverse: Array
-    Phi: Array
-    K: Array
+    update: Array
+    step: Array
+    gain: Array
     C: Array
     selector: Array
 
-    @cached_property
-    def update(self) -> Array:
-        """I − K C (N,N)."""
-        return np.eye(len(self.K)) - self.K @ self.C
+    @property
+    def after_sample(self) -> Array:
+        """(I − K C) Φ (N,N), from z to z."""
+        return np.asarray(self.update.T @ self.step)
 
-    @cached_property
-    def F(self) -> Array:
-        """(I − K C) Φ (N,N)."""
-        return self.update @ self.Phi
+    @property
+    def before_sample(self) -> Array:
+        """Φ (I − K C) (N,N), from z⁻ to z⁻."""
+        return np.asarray(self.step @ self.update.T)
+
+    def settled(self, added: Array) -> Array:
+        """Return z⁻ (N,·), to which the error converges where every step adds `added` (N,·) to it."""
+        return np.asarray(np.linalg.solve(np.eye(len(self.T)) - self.before_sample, added), dtype=float)
 
 
-def _own(system: Augmented, discrete: Discrete, rest: Update) -> _Own:
-    T, inverse = own_coordinates(rest.factor)
-    selector = np.zeros((0, len(T))) if system.selector is None else system.selector
-    return _Own(
+def _own(system: Augmented, discrete: Discrete, sample_factor: Array, prior_factor: Array) -> Own:
+    T = own_coordinates(prior_factor)
+    seen = np.linalg.solve(sample_factor, system.C @ T)
+    p, N = seen.shape
+    after = triangular(np.block([[np.eye(p), seen], [np.zeros((N, p)), np.eye(N)]]))[p:, p:]
+    selector = np.zeros((0, N)) if system.selector is None else system.selector
+    return Own(
         T=T,
-        inverse=inverse,
-        Phi=inverse @ discrete.Phi @ T,
-        K=inverse @ rest.K,
+        update=after,
+        step=forward(T, discrete.Phi @ T @ after),
+        gain=after.T @ seen.T,
         C=system.C @ T,
         selector=selector @ T,
     )
@@ -202,6 +206,7 @@ def sampled_design(
     noise_factor, sample_factor = scaled_noise(discrete, intensities), intensities.scale * R_factor
     prior_factor = stationary(discrete.filter_phi, system.C, noise_factor, sample_factor)
     rest = update(prior_factor, system.C, sample_factor)
+    own = _own(system, discrete, sample_factor, prior_factor)
     return SampledDesign(
         system=system,
         discrete=discrete,
@@ -212,7 +217,8 @@ def sampled_design(
         sample_factor=sample_factor,
         prior_factor=prior_factor,
         rest=rest,
-        M_H=_dc_inverse(system, discrete, rest) if system.order == 0 else None,
+        M_H=_dc_inverse(system, discrete, own) if system.order == 0 else None,
+        own=own,
     )
 
 
@@ -224,8 +230,6 @@ def scaled_noise(discrete: Discrete, intensities: Intensities) -> Array:
     return np.asarray(intensities.scale * noise)
 
 
-def _dc_inverse(system: Augmented, discrete: Discrete, rest: Update) -> Array:
+def _dc_inverse(system: Augmented, discrete: Discrete, own: Own) -> Array:
     """Return M_H (q2,p): the rows for d of [C (I − Φ (I − K C))⁻¹ Γ]⁻¹, the left inverse where p > q."""
-    own = _own(system, discrete, rest)
-    settled = np.linalg.solve(np.eye(len(own.F)) - own.Phi @ own.update, own.inverse @ discrete.drive)
-    return np.asarray(system.linear.selector @ np.linalg.pinv(own.C @ settled))
+    return np.asarray(system.linear.selector @ np.linalg.pinv(own.C @ own.settled(forward(own.T, discrete.drive))))
