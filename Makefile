@@ -36,6 +36,7 @@ exits: .venv/installed-test
 
 soak: .venv/installed-test build
 	$(BIN)/python -m tests.fuzz --calls 100000 --seed 1 --fmus build/fmus
+	$(BIN)/python -m tests.attacks.states --trials 5000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.attacks.texts --trials 20000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.attacks.names --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.steps --trials 2000 --seed 1 --fmus build/fmus

@@ -53,6 +53,10 @@ class ControllerSlave(Slave):
         )
         self.state = ControllerMemory(self.controller.start(), (0.0,) * len(self.inputs))
 
+    def possible(self, state: ControllerMemory, begin: float, now: float) -> bool:
+        """Whether the controller can be in such a state."""
+        return self.controller.possible(state.target) and all(map(isfinite, state.inputs))
+
     def show(self) -> Sequence[Any]:
         """Return the command for the inputs set so far."""
         return self._command()

@@ -8,6 +8,7 @@ from typing import Any
 from fmus.slave_base import Slave
 from ndob_fmu.runtime.component_interface import DESCRIPTIONS, EXPERIMENT, source_variables
 from ndob_fmu.runtime.disturbance_source import Signal, disturbance_source
+from ndob_fmu.runtime.times import same_time
 
 
 class DisturbanceSourceSlave(Slave):
@@ -24,6 +25,10 @@ class DisturbanceSourceSlave(Slave):
         kind, *options = self.values(f"disturbance.{name}" for name in names)
         self.signal: Signal = disturbance_source(kind, **dict(zip(names[1:], options, strict=True)))
         self.state = start_time
+
+    def possible(self, state: float, begin: float, now: float) -> bool:
+        """Whether the time remembered is the present one."""
+        return same_time(state, now)
 
     def show(self) -> Sequence[Any]:
         """Return the disturbance at the start."""

@@ -30,6 +30,10 @@ class EncoderSlave(Slave):
         )
         self.state = self.encoder.init(self.value("angle"), start_time)
 
+    def possible(self, state: EncoderState, begin: float, now: float) -> bool:
+        """Whether the encoder can be in such a state now."""
+        return state.start_time == begin and self.encoder.possible(state, now)
+
     def show(self) -> Sequence[Any]:
         """Return the first sample, of the angle set so far."""
         self.state = self.encoder.init(self.value("angle"), self.state.start_time)

@@ -39,6 +39,10 @@ class ObserverSlave(Slave):
         self._step_at_rest = self.observer.step_at_rest if isinstance(self.observer, SampledObserver) else None
         self.state = self.observer.init(self._for_states("hat_start"))
 
+    def possible(self, state: Any, begin: float, now: float) -> bool:
+        """Whether the observer can be in such a state."""
+        return bool(self.observer.possible(state, now - begin))
+
     def show(self) -> Sequence[Any]:
         """Return the estimate that the first sample alone gives."""
         return _outputs(self.observer.estimate(self.state, self.values(self.equations.outputs)))

@@ -14,6 +14,7 @@ from ndob_fmu.runtime.disturbance import Generator
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.interface import for_each_disturbance, plant_variables
 from ndob_fmu.runtime.plant import Plant, PlantState
+from ndob_fmu.runtime.times import same_time
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class PlantSlave(Slave):
             plant=self.plant.init(self.values(f"{name}_start" for name in eq.states), start_time),
             held=(0.0,) * (len(eq.inputs) + len(eq.disturbances)),
         )
+
+    def possible(self, state: PlantMemory, begin: float, now: float) -> bool:
+        """Whether the plant can be in such a state now."""
+        return self.plant.possible(state.plant) and same_time(state.plant.t, now) and all(map(isfinite, state.held))
 
     def show(self) -> Sequence[Any]:
         """Return outputs, the other states and total disturbances at the present time."""

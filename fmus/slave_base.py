@@ -27,6 +27,7 @@ from pythonfmu import (
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_guards import (
+    PYTHON_TYPES,
     added_rounding,
     experiment_fault,
     failure,
@@ -36,7 +37,8 @@ from fmus.slave_guards import (
     stop_fault,
 )
 from fmus.slave_start_values import with_start_values
-from fmus.slave_state import Snapshot, from_bytes, to_bytes
+from fmus.slave_state import Received, Snapshot, from_bytes, to_bytes
+from fmus.slave_state_faults import same_form, state_fault
 from ndob_fmu.runtime.equations import Experiment
 from ndob_fmu.runtime.errors import NdobError
 from ndob_fmu.runtime.interface import Variable
@@ -64,7 +66,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self.description = description
         self._variables = variables = with_start_values(variables, self.resources)
         self._value_reference = {variable.name: index for index, variable in enumerate(variables)}
-        self._values: list[Any] = [0.0 if v.start is None else v.start for v in variables]
+        self._values: list[Any] = [PYTHON_TYPES[v.type]() if v.start is None else v.start for v in variables]
         self._of_type = {
             kind.__name__: frozenset(i for i, v in enumerate(variables) if _TYPES[v.type] is kind)
             for kind in _TYPES.values()
@@ -75,11 +77,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         # The references that were asked for and set last, and the slice that they are; None where they are none.
         self._real_outputs: tuple[list[int], slice | None] = ([], None)
         self._real_inputs: tuple[list[int], slice | None] = ([], None)
-        self._refused = {
-            vr: str(fault)
-            for vr in self._parameter_references
-            if (fault := parameter_fault(variables[vr], self._values[vr]))
-        }
+        self._refused = self._refusals()
         self._started_with: tuple[Any, ...] | None = None
         self._initializing = False
         self._stale = False
@@ -105,6 +103,10 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
         """Do the same without NumPy, or return None and change nothing where that cannot be done."""
         return None
+
+    def possible(self, state: Any, begin: float, now: float) -> bool:
+        """Whether a run from `begin` to `now` (s) could lead to a state that has the form of the present one."""
+        return True
 
     def stretch(self, names: Sequence[str]) -> slice:
         """Return where the values of variables lie that are declared one after another."""
@@ -159,10 +161,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             if fault:
                 self._say(fault)
                 return False
-        if self._initializing:  # without a front the host did not learn that initialization failed
-            self.exit_initialization_mode()
-            if self._initializing:
+        # Without a front a host does not learn that initialization failed.
+        if self._initializing or self._started_with is None:
+            if not self._refresh(Fmi2Status.discard):
                 return False
+            self._initializing = False
         if not goes_on_as_it_did:
             rounding = added_rounding(end, self._start_time, self._step_size)
             if step_size <= rounding:
@@ -230,12 +233,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     # -- called by pythonfmu: the memory
 
     def _get_fmu_state(self) -> Snapshot:
+        made = self._started_with is not None
         return Snapshot(
             slave=self._identity(),
             values=tuple(self._values),
-            refused=dict(self._refused),
             started_with=self._started_with,
-            core=self.state,
+            core=self.state if made else None,
             initializing=self._initializing,
             stale=self._stale,
             start_time=self._start_time,
@@ -244,31 +247,34 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             step_size=self._step_size,
         )
 
-    def _set_fmu_state(self, snapshot: Snapshot | NdobError) -> None:
-        if isinstance(snapshot, NdobError):
-            self._say(snapshot)
+    def _set_fmu_state(self, state: Snapshot | Received | NdobError) -> None:
+        if isinstance(state, NdobError):
+            self._say(state)
             return
+        snapshot = state.snapshot if isinstance(state, Received) else state
         if snapshot.slave != self._identity():
             self._report("FMU state", f"one of {self._identity()}", f"one of {snapshot.slave}")
             return
-        fault = self._restart(snapshot)
+        fault = self._received_fault(snapshot) if isinstance(state, Received) else self._restart(snapshot)
         if fault:
             self._say(fault)
             return
         self._values = list(snapshot.values)
-        self._refused = dict(snapshot.refused)
+        self._refused = self._refusals()
         self._initializing, self._stale = snapshot.initializing, snapshot.stale
         self._start_time, self._stop_time = snapshot.start_time, snapshot.stop_time
         self._time, self._step_size = snapshot.time, snapshot.step_size
         self._started_with, self.state = snapshot.started_with, snapshot.core
 
     @classmethod
-    def _fmu_state_to_bytes(cls, snapshot: Snapshot | NdobError) -> bytes:
+    def _fmu_state_to_bytes(cls, state: Snapshot | Received | NdobError) -> bytes:
         """Return the bytes; what was refused when it was read has none, and is refused again."""
-        return b"" if isinstance(snapshot, NdobError) else to_bytes(snapshot)
+        if isinstance(state, NdobError):
+            return b""
+        return to_bytes(state.snapshot if isinstance(state, Received) else state)
 
     @classmethod
-    def _fmu_state_from_bytes(cls, data: bytes) -> Snapshot | NdobError:
+    def _fmu_state_from_bytes(cls, data: bytes) -> Received | NdobError:
         """Return what the bytes hold, or why they hold nothing: pythonfmu calls the class, which cannot log."""
         try:
             return from_bytes(data, cls.state_types)
@@ -298,21 +304,42 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             nested=False,
         )
 
-    def _restart(self, snapshot: Snapshot) -> NdobError | None:
-        """Make the core of the snapshot's parameters, or leave the present one and return why that cannot be."""
-        if not snapshot.fits(len(self._values), len(self._parameter_references)):
-            return NdobError.report("FMU state", expected="the variables of this FMU", received="others")
-        if snapshot.started_with in (None, self._started_with):
+    def _received_fault(self, snapshot: Snapshot) -> NdobError | None:
+        """Make the core of a snapshot that came as bytes, or leave all as it is and return what is wrong with it."""
+        fault = state_fault(snapshot, self._variables)
+        if fault:
+            return fault
+        parameters = tuple(snapshot.values[vr] for vr in self._parameter_references)
+        if not snapshot.initializing and snapshot.started_with not in (None, parameters):
+            return NdobError.report("FMU state", expected="the parameters that it started with", received="others")
+        return self._restart(snapshot, check=True)
+
+    def _restart(self, snapshot: Snapshot, *, check: bool = False) -> NdobError | None:
+        """Make the core of the snapshot's parameters, or leave the present one and return why that cannot be.
+
+        check: whether that core could have the snapshot's state.
+        """
+        started_with, before = snapshot.started_with, (self._values, self.state)
+        if started_with is None:
             return None
-        before = self._values, self.state
         try:
-            self._start_with(snapshot.started_with, snapshot.start_time)
+            if started_with != self._started_with:
+                self._start_with(started_with, snapshot.start_time)
+            if check and not self._holds(snapshot):
+                raise NdobError.report("FMU state", expected="what this FMU remembers", received="something else")
         except Exception as error:
-            if self._started_with is not None:
+            if self._started_with not in (None, started_with):
                 self._start_with(self._started_with, self._start_time)
             self._values, self.state = before
             return failure("FMU state", error)
         return None
+
+    def _holds(self, snapshot: Snapshot) -> bool:
+        """Whether the core, in its present state one of the same parameters, could have the snapshot's."""
+        if not same_form(self.state, snapshot.core):
+            return False
+        with np.errstate(all="ignore"):
+            return self.possible(snapshot.core, snapshot.start_time, snapshot.time)
 
     def _start_with(self, parameters: tuple[Any, ...], start_time: float) -> None:
         """Start with these, since in initialization mode others may have been set that need not even admit a core."""
@@ -321,6 +348,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self._values[vr] = value
         with np.errstate(all="ignore"):
             self.start(start_time)
+
+    def _refusals(self) -> dict[int, str]:
+        """Return why parameters cannot be used as they are, by value reference."""
+        return {
+            vr: str(fault)
+            for vr in self._parameter_references
+            if (fault := parameter_fault(self._variables[vr], self._values[vr]))
+        }
 
     def _references(self, causality: str) -> list[int]:
         return [index for index, variable in enumerate(self._variables) if variable.causality == causality]
@@ -378,12 +413,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     def _say(self, fault: NdobError, status: Fmi2Status = Fmi2Status.error) -> None:
         self.log(str(fault), status)
 
-    def _refresh(self) -> bool:
-        """Bring the outputs up to date in initialization mode; log why where that cannot be done."""
+    def _refresh(self, status: Fmi2Status = Fmi2Status.error) -> bool:
+        """Bring the outputs up to date in initialization mode; log why, with this status, where that cannot be done."""
         parameters = tuple(self._values[vr] for vr in self._parameter_references)
         try:
             if self._refused:
-                self.log(next(iter(self._refused.values())), Fmi2Status.error)
+                self.log(next(iter(self._refused.values())), status)
                 return False
             # Overflow is found by its result; a host that makes errors of warnings must not see it as one.
             with np.errstate(all="ignore"):
@@ -396,7 +431,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
                 raise ValueError(f"{len(shown)} values for other outputs than that")
             self._values[self._shown] = shown
         except Exception as error:
-            self._say(failure("start", error))
+            self._say(failure("start", error), status)
             return False
         self._stale = False
         return True

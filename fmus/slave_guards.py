@@ -12,7 +12,10 @@ from ndob_fmu.runtime.interface import Variable
 _IMPOSSIBLE = (ArithmeticError, ValueError)
 _LONGEST_MESSAGE = 300
 # A step begins where the last one ended, within this part of a step: hosts add up steps, or round them to nanoseconds.
-_TIME_TOLERANCE = 1e-3
+TIME_TOLERANCE = 1e-3
+# What stands for each type of FMI, and the range of its Integer.
+PYTHON_TYPES = {"Real": float, "Boolean": bool, "Integer": int, "Enumeration": int, "String": str}
+_INTEGERS = range(-(2**31), 2**31)
 
 
 def failure(where: str, error: Exception) -> NdobError:
@@ -72,11 +75,20 @@ def added_rounding(time: float, start_time: float, step_size: float) -> float:
     if step_size == 0.0:
         return 0.0
     steps = 1.0 + (time - start_time) / step_size
-    return min(steps * ulp(max(abs(time), abs(start_time))), _TIME_TOLERANCE * step_size)
+    return min(steps * ulp(max(abs(time), abs(start_time))), TIME_TOLERANCE * step_size)
 
 
 def _tolerance(step_size: float, time: float) -> float:
-    return max(_TIME_TOLERANCE * step_size, 4.0 * ulp(time))
+    return max(TIME_TOLERANCE * step_size, 4.0 * ulp(time))
+
+
+def is_declared(variable: Variable, value: Any) -> bool:
+    """Return whether a value is of the variable's declared type: exactly what a host can set or get."""
+    if type(value) is not PYTHON_TYPES[variable.type]:
+        return False
+    if isinstance(value, str):
+        return "\0" not in value and value.encode("utf-8", "replace").decode() == value
+    return isinstance(value, float) or value in _INTEGERS
 
 
 def parameter_fault(variable: Variable, value: Any) -> NdobError | None:

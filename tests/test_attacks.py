@@ -28,3 +28,10 @@ def test_malformed_texts_are_refused_with_one_line_and_well_formed_ones_taken(sh
     assert counts["strings: refused"] + counts["strings: taken"] == 60
     assert counts["folders: taken"] == 12
     assert min(counts.values()) > 10
+
+
+def test_states_with_wrong_contents_and_right_checksums_are_refused_or_honest(shipped):
+    counts = attack("states", shipped.fmus, 250)
+    refused = sum(count for words, count in counts.items() if words.endswith("refused"))
+    assert refused > 100
+    assert sum(counts.values()) - refused > 20

@@ -5,11 +5,14 @@ The same slave behind its front, which makes the status of what the slave says, 
 
 from __future__ import annotations
 
+import hashlib
+import json
 from math import inf, nan
 
 import pytest
 import sympy
 from fmi_instance import DISCARD, ERROR, OK, opened
+from test_fmu_state import forged
 
 from fmus.slave_guards import printable
 from ndob_fmu import Model, build, load_model
@@ -106,6 +109,40 @@ def test_bytes_that_are_no_state_change_nothing(host, spoil):
         assert host.bytes_of(state) == b""
         assert host.setFMUState(state) == OK
     assert len(host.said) == 1
+    assert host.get() == before
+    assert host.doStep(H, H) == OK
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [(1, "\ud800"), (9, 10**400), (4, {"tuple": [1.0]}), (2, {"tuple": ["text"]})]
+)
+def test_a_state_with_wrong_contents_and_the_right_checksum_changes_nothing(host, place, value):
+    host.begin()
+    before = host.step(0.0, H, motor_angle=0.3, link_angle=0.1)
+    data = host.bytes_of(host.state())
+    if host.refusal:
+        names = (
+            "",
+            "slave",
+            "values",
+            "started_with",
+            "core",
+            "initializing",
+            "stale",
+            "start_time",
+            "stop_time",
+            "time",
+        )
+        data = forged(data, **{names[place]: lambda _: value})
+    else:
+        tree = json.loads(data[32:])
+        tree["state"][place] = value
+        content = json.dumps(tree, separators=(",", ":")).encode()
+        data = hashlib.sha256(content).digest() + content
+    status, state = host.from_bytes(data)
+    if status == OK:
+        status = host.setFMUState(state)
+    assert (status, len(host.said)) == (host.refusal, 1)
     assert host.get() == before
     assert host.doStep(H, H) == OK
 

@@ -31,6 +31,9 @@ class Observer(Protocol):
     def init(self, x_hat: Vector) -> Any:
         """Return the state that starts from x̂₀ (n,)."""
 
+    def possible(self, state: Any, elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+
     def estimate(self, state: Any, y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""
 
@@ -115,6 +118,10 @@ class ChannelObserver:
     def init(self, x_hat: Vector) -> ChannelState:
         """Return the state that starts from x̂₀ (n,)."""
         return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,))
+
+    def possible(self, state: ChannelState, elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+        return bool(np.all(np.isfinite(state.d_hat))) and self.observer.possible(state.lumped, elapsed)
 
     def estimate(self, state: ChannelState, y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""

@@ -101,6 +101,10 @@ class Controller:
         u = target.u - self.gain @ (np.asarray(x_hat) - target.x)
         return target, np.where(self.limit > 0.0, np.clip(u, -self.limit, self.limit), u)
 
+    def possible(self, target: Target) -> bool:
+        """Return whether numbers in the form of a target can be one."""
+        return bool(np.isfinite(target.x).all() and np.isfinite(target.u).all())
+
     def saturates(self, u: Array) -> bool:
         """Whether a command (m,) is at its limit."""
         return bool(np.any((self.limit > 0.0) & (np.abs(u) >= self.limit)))

@@ -6,11 +6,13 @@ All are functions of continuous time alone, so that no communication step and no
 from __future__ import annotations
 
 import csv
+import os
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite, pi, sqrt
+from stat import S_ISREG
 
 import numpy as np
 
@@ -93,6 +95,8 @@ def read_profile(path: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     likely = "the path is relative to the folder in which the host runs; give it whole"
     try:
+        if not S_ISREG(os.stat(path).st_mode):  # noqa: PTH116 # as below
+            raise ValueError("it is no regular file")
         with open(path, encoding="utf-8-sig", newline="") as file:  # noqa: PTH123 # an empty Path would be a folder
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:

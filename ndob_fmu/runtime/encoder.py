@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import floor, isfinite, nan, pi, ulp
 
 from ndob_fmu.runtime.random_numbers import normal, uniforms
+from ndob_fmu.runtime.times import same_time
 
 MISSING = {"held": 1, "not_a_number": 2}
 
 # Hosts add up their times, or round them. A sample or a value that is due within this part of a period or of a step
 # after the step's end, or within this many roundings of its time, must not slip to the next step.
 _OF_A_PERIOD, _OF_A_STEP, _ROUNDINGS = 1e-6, 1e-3, 4.0
+_LARGEST_INDEX = 2**53  # beyond it times do not tell samples apart
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class EncoderState:
 
     start_time: float
     index: int
-    pending: tuple[tuple[float, float], ...]
+    pending: tuple[tuple[float, float], ...] = field(metadata={"grows": True})
     good: float
     shown: float
     new: bool
@@ -73,6 +75,14 @@ class Encoder:
             good = value if new else good
             shown = value if new or self.dropped_nan else good
         return EncoderState(state.start_time, index, pending[due:], good, shown, new)
+
+    def possible(self, state: EncoderState, t: float) -> bool:
+        """Return whether numbers in the form of a state can be one at the time t (s)."""
+        if not all(isinstance(sample, tuple) and [*map(type, sample)] == [float, float] for sample in state.pending):
+            return False
+        due = [time for time, _ in state.pending]
+        in_order = due == sorted(due) and all(time <= t + self.delay or same_time(time, t + self.delay) for time in due)
+        return in_order and 0 <= state.index <= _LARGEST_INDEX and isfinite(state.start_time)
 
     def _sample(self, angle: float, index: int) -> float:
         lost = uniforms(self.seed, index)[2] < self.dropout_probability

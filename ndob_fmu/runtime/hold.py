@@ -9,7 +9,7 @@ grow with the square of the ratio. So more samples are kept than a polynomial ne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,8 +23,15 @@ _LEAST_SPACING = 0.1
 class History:
     """Past samples, newest first. ages (k,) in s, 0 for a sample taken now; samples (k,p)."""
 
-    ages: Array
-    samples: Array
+    ages: Array = field(metadata={"grows": True})
+    samples: Array = field(metadata={"grows": True})
+
+    def possible(self, degree: int) -> bool:
+        """Return whether these can be samples for polynomials of at most this degree."""
+        ages, samples = self.ages, self.samples
+        finite = bool(np.all(np.isfinite(ages)) and np.all(np.isfinite(samples)))
+        in_order = bool(np.all(ages >= 0.0) and np.all(np.diff(ages) > 0.0))
+        return finite and in_order and len(ages) == len(samples) <= 2 * (degree + 1)
 
     def with_sample(self, y: Array, degree: int) -> History:
         """Return the history after a sample y (p,) taken now, of at most 2 (degree + 1) samples.

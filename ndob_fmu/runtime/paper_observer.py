@@ -23,6 +23,7 @@ from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.schedule import GainTable, PiSchedule, gain_table
+from ndob_fmu.runtime.times import same_time
 from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 # The explicit part of the integration stays accurate while f and ln π change this little over one substep.
@@ -68,6 +69,11 @@ class PaperObserver:
             w_hat=np.zeros(self.linear.G.shape[1]),
         )
 
+    def possible(self, state: ObserverState, elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+        finite = all(np.all(np.isfinite(part)) for part in (state.x_hat, state.u, state.w_hat))
+        return finite and state.history.possible(self.hold_degree) and same_time(state.elapsed, elapsed)
+
     def estimate(self, state: ObserverState, y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""
         sample = np.array(y, dtype=float)
@@ -87,7 +93,7 @@ class PaperObserver:
     def step(self, state: ObserverState, u: Vector, y: Vector, H: float) -> tuple[ObserverState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step.
 
-        Raises IntegrationError where that takes more than `MOST_SUBSTEPS`.
+        Raises IntegrationError where that takes more than `MOST_SUBSTEPS`, or the estimate leaves the finite numbers.
         """
         start = self.estimate(state, y)
         inputs = np.array(u, dtype=float)
@@ -109,6 +115,8 @@ class PaperObserver:
         w_hat = state.w_hat
         if start.valid:
             w_hat = self._unknown_inputs(elapsed, held.at(H) - self.linear.C @ x_hat)
+        if not (np.all(np.isfinite(x_hat)) and np.all(np.isfinite(w_hat))):
+            raise IntegrationError("the observer's estimate leaves the finite numbers")
         after = ObserverState(x_hat=x_hat, elapsed=elapsed, history=history.aged(H), u=inputs, w_hat=w_hat)
         return after, replace(
             start,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from math import inf, nextafter
+from math import inf, isfinite, nextafter
 
 import numpy as np
 
@@ -39,6 +39,10 @@ class Plant:
     def init(self, x: Vector, t: float) -> PlantState:
         """Return the state that starts from x (n,) at time t."""
         return PlantState(x=tuple(map(float, x)), t=t, substep=inf)
+
+    def possible(self, state: PlantState) -> bool:
+        """Return whether numbers in the form of a state can be one."""
+        return all(map(isfinite, state.x)) and isfinite(state.t) and state.substep > 0.0
 
     def disturbance(self, t: float, d: Vector) -> list[float]:
         """Return the whole disturbance (q2,) at t: the generators' plus the input d (q2,)."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from ndob_fmu.runtime.augmented import Augmented, augment, discretise
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
-from ndob_fmu.runtime.errors import DesignError
+from ndob_fmu.runtime.errors import DesignError, IntegrationError
 from ndob_fmu.runtime.integrate import integrate
 from ndob_fmu.runtime.kalman import Update, gain_change, predict, update
 from ndob_fmu.runtime.memo import Latest
@@ -79,6 +79,21 @@ class SampledObserver:
                 refused=0,
                 age=0,
             ),
+        )
+
+    def possible(self, state: SampledState, elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, whenever that is."""
+        c = state.confidence
+        values = np.array([*state.xi_hat, *state.d_hat, *state.u, *c.d_std, c.tuned_at])
+        return (
+            bool(
+                np.all(np.isfinite(values)) and np.all(np.isfinite(c.factor)) and not np.any(np.isnan(state.deviation))
+            )
+            and not any(state.xi_hat[len(self.system.A) :])
+            and min(c.d_std, default=0.0) >= 0.0
+            and c.tuned_at >= 0.0
+            and 0 <= c.refused <= _MOST_REFUSALS
+            and 0 <= c.age <= self._start_up
         )
 
     def design(self, H: float, tuned_at: float | None = None) -> SampledDesign:
@@ -217,6 +232,8 @@ class SampledObserver:
         at_rest = at_rest and (before.at_rest or gain_change(measured, design.rest) <= _AT_REST)
         factor = design.prior_factor if at_rest else self._covariance_ahead(factor, design, H, age)
         xi_after = self._predicted(xi_hat, d_hat, list(inputs), H, coasting=not used)
+        if not (np.all(np.isfinite(xi_after)) and np.all(np.isfinite(factor)) and np.all(np.isfinite(d_hat))):
+            raise IntegrationError("the observer's estimate leaves the finite numbers")
         d_after = xi_after[self._n : self._n + len(d_hat)] if self.system.order else d_hat
         after = SampledState(
             xi_hat=numbers(xi_after) + (0.0,) * (len(state.xi_hat) - len(xi_after)),

@@ -239,6 +239,14 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes
     }
     fmi2FMUstate made = NULL;
     fmi2Status status = judged(self, slave.DeSerializeFMUstate(self->slave, bytes + sizeof head, head.size, &made));
+    size_t written = 0;
+    if (status < fmi2Discard) status = judged(self, slave.SerializedFMUstateSize(self->slave, made, &written));
+    if (status < fmi2Discard && written != head.size) { /* what the slave could not read it does not write */
+        slave.FreeFMUstate(self->slave, &made);
+        log_line(&self->log, fmi2Error, "%s: expected the bytes of a state of this FMU, received others with its checksum",
+                 __func__);
+        return leave(self, fmi2Error);
+    }
     if (status < fmi2Discard && !keep(self, handle, made, head.progress)) status = fmi2Error;
     return leave(self, status);
 }
