@@ -27,7 +27,7 @@ _READER_GONE = 128 + 13  # SIGPIPE
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 where a check or a run failed, 2 where the input is unusable."""
     options = _parser().parse_args(arguments)
-    logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    logging.basicConfig(format="ndob-fmu: %(message)s", level=logging.WARNING)
     try:
         with shown_after(PATIENCE) if options.run in (_check, _design, _build) else nullcontext():
             code: int = options.run(options)
@@ -83,7 +83,7 @@ def _check_system(options: argparse.Namespace) -> int:
     from ndob_fmu.cosim import check_ssp
 
     begin(f"reading {options.model} and its FMUs")
-    report = check_ssp(options.model, picture=options.picture)
+    report = check_ssp(options.model, strict=options.strict, picture=options.picture)
     print(report.to_json() if options.json else report)
     return 0 if report.passed else 1
 
@@ -153,6 +153,7 @@ def _simulate(options: argparse.Namespace) -> int:
         "start_values": _pairs(options.start_values),
         "input_file": options.input_file,
         "tolerance": options.tolerance,
+        "strict": options.strict,
         "scheme": options.scheme,
         "order": options.order,
     }
@@ -282,6 +283,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("check", _check, "Check the paper's assumptions on a model, or a system; exit code 1 if one fails.")
     sub.add_argument("model", metavar="MODEL", help=f"{model_help}, or the path of a system (.ssp)")
+    sub.add_argument("--strict", action="store_true", help="fail for inputs of a system that nothing drives")
     sub.add_argument("--picture", type=Path, metavar="FILE", help="also draw the system (.svg)")
     sub.add_argument("--json", action="store_true", help="print JSON")
 
@@ -330,6 +332,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="start values by component.variable"
     )
+    sub.add_argument("--strict", action="store_true", help="refuse inputs that nothing drives, instead of a warning")
     sub.add_argument("--input-file", type=Path, help="CSV of inputs, columns component.variable")
     sub.add_argument("--output-file", type=Path, help="CSV to write")
     sub.add_argument("--results", type=Path, metavar="DIR", help="folder for CSV, summary and figures (PNG and SVG)")

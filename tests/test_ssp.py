@@ -218,7 +218,6 @@ def test_what_would_not_be_honoured_is_refused_by_name(pack, old, new, part):
         ([('<ssv:Real value="-0.5"/>', '<ssv:Boolean value="true"/>')], (), ["gain.k", "a number (Real)", "'true'"]),
         ([('prefix="gain."', 'prefix="gian."')], (), ["'gian.b'", "did you mean 'gain.b'?"]),
         ([("</ssd:Connections>", CONNECTION + "</ssd:Connections>")], (), ["input gain.a", "exactly one driver"]),
-        ([(CONNECTION, "")], (), ["input gain.a", "a start value", "none of them"]),
     ],
 )
 def test_a_package_that_is_damaged_or_contradicts_itself_ends_in_one_line(pack, replace, without, parts):

@@ -77,11 +77,6 @@ BROKEN = {
         "connections",
         "variable of two: expected one of the variables a, b, k, y, received 'aa'; likely cause: did you mean 'a'?",
     ),
-    "an unconnected input": (
-        {"change": [('<ssv:Parameter name="b">', '<ssv:Parameter name="k">')]},
-        "inputs",
-        "input one.b: expected a connection, a column of the input file or a start value, received none of them",
-    ),
     "a wrong unit": ({"change": [('unit="m"', 'unit="kg"')]}, "connections", "connector one.a: expected the unit m"),
     "a unit that does not convert": (
         {"change": [('name="u" kind="input"><ssc:Real unit="m"', 'name="u" kind="input"><ssc:Real unit="kg"')]},
@@ -131,6 +126,26 @@ def test_a_broken_package_gives_one_clear_message_and_leaves_nothing_behind(pack
     assert said in streams.err
     # Neither results nor a picture, nothing that was unpacked (the fixture looks there), nothing beside the package.
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_input_that_nothing_drives_is_a_warning_and_with_strict_a_failure(package, capsys, caplog):
+    package(('<ssv:Parameter name="b">', '<ssv:Parameter name="k">'))
+    assert main(["check", "test.ssp"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "test.ssp: all 6 checks pass, 1 with a warning"
+    said = "nothing drives the input one.b; it keeps its own start value"
+    assert lines[5].split(None, 2) == ["warn", "inputs", said]
+    assert main(["check", "test.ssp", "--json"]) == 0
+    assert [row["warning"] for row in json.loads(capsys.readouterr().out)["rows"]] == [False] * 4 + [True, False]
+    run = ["simulate", "test.ssp", "--stop-time", "1", "--step-size", "1"]
+    assert main(run) == 0
+    assert said in caplog.text
+    refused = "input one.b: expected a connection, a column of the input file or a start value, received none of them"
+    capsys.readouterr()
+    assert main(["check", "test.ssp", "--strict"]) == 1
+    assert refused in capsys.readouterr().out
+    assert main([*run, "--strict"]) == 2
+    assert refused in capsys.readouterr().err
 
 
 def test_what_is_no_package_is_refused(capsys, tmp_path):

@@ -139,19 +139,19 @@ def test_names_at_the_boundary_come_back(fmus, tmp_path):
         assert {"s.boundary.ssv", "s.parameters.ssv", "s.parameters.ssm"} < set(package.namelist())
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "said"),
-    [
-        (lambda fmus: System().add("x", constant(1.0)), CouplingError, "component x: expected an FMU, received"),
-        (lambda fmus: System().add("x", fmus / "Gain.fmu"), CouplingError, "inputs x.a, x.b: expected a connection"),
-    ],
-)
-def test_what_cannot_be_written_is_refused_and_leaves_no_file(fmus, tmp_path, make, error, said):
-    system = make(fmus)
-    with pytest.raises(error) as refused:
-        system.write(tmp_path / "s.ssp")
-    assert said in str(refused.value)
+def test_what_cannot_be_written_is_refused_and_leaves_no_file(tmp_path):
+    with pytest.raises(CouplingError, match="component x: expected an FMU, received"):
+        System().add("x", constant(1.0)).write(tmp_path / "s.ssp")
     assert not (tmp_path / "s.ssp").exists()
+
+
+def test_a_package_says_the_start_value_of_an_input_that_nothing_drives(fmus, tmp_path, caplog):
+    path = System().add("x", fmus / "Ramp.fmu", {"how": 0}).write(tmp_path / "s.ssp")
+    assert [record.getMessage() for record in caplog.records] == [
+        "nothing drives the input x.u; it keeps its own start value"
+    ]
+    with open_ssp(path) as (system, _):
+        assert system.start_values == {("x", "u"): 1.0, ("x", "how"): 0}
 
 
 def test_only_packages_are_written(fmus, tmp_path):

@@ -62,7 +62,7 @@ def read_inputs(path: str | Path, system: System) -> InputTable:
     columns = [
         (name, link, values * link.factor + link.offset)
         for name, values in zip(table.names, table.columns.T, strict=True)
-        for link in system.inputs.get(name) or (Link(system.port(name)),)
+        for link in (system.inputs[name] if name in system.inputs else (Link(system.port(name)),))
     ]
     for name, (port, *_), values in columns:
         variable = system.variable(port)

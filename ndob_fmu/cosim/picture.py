@@ -38,7 +38,7 @@ def draw_system(system: System, title: str) -> bytes:
     """Return the picture as SVG; the same system gives the same bytes."""
     cells = _signals(system)
     names = list(system.components)
-    outside = ([""] if system.inputs else []) + names + (["*"] if system.outputs else [])
+    outside = ([""] if any(system.inputs.values()) else []) + names + (["*"] if system.outputs else [])
     place = {name: index for index, name in enumerate(outside)}
     widths = [0.0] * len(outside)
     heights = [2.0 * _LINE + 2.0 * _PAD] * len(outside)

@@ -20,7 +20,7 @@ from ndob_fmu.cosim.inputs import NO_INPUTS, read_inputs
 from ndob_fmu.cosim.loops import algebraic_loops
 from ndob_fmu.cosim.ssp import open_ssp
 from ndob_fmu.cosim.system import Port, System
-from ndob_fmu.cosim.wiring import wire
+from ndob_fmu.cosim.wiring import Wiring, keep_start_values, wire
 from ndob_fmu.errors import SimulationError, UsageError, shortened
 from ndob_fmu.results import Recording
 
@@ -39,15 +39,18 @@ def simulate(
     scheme: str = "jacobi",
     order: Sequence[str] | None = None,
     tolerance: float | None = None,
+    strict: bool = False,
     progress: bool | None = None,
 ) -> Recording:
     """Co-simulate with a fixed communication step and return every numeric output, one row per communication point.
 
-    system: a System, the path of an .ssp, or that of an .fmu, whose variables may then be named without the component
-    and whose inputs keep the start values of its model description. Times in seconds; one that is None comes from the
+    system: a System, the path of an .ssp, or that of an .fmu, whose variables may then be named without the component.
+    Times in seconds; one that is None comes from the
     default experiment of the .ssp or .fmu, the start time else is 0, and each communication point is recorded.
-    start_values: ``component.variable`` → value. input_file: CSV in fmpy's form with columns ``component.variable``,
-    each row held until the next; its columns replace start values that the system itself gives. progress: a bar on
+    start_values: ``component.variable`` → value; that of an input that something drives is its value before the first
+    exchange. input_file: CSV in fmpy's form with columns ``component.variable``, each row held until the next. An input
+    that nothing drives keeps its start value, after SSP 1.0.1; where that is the FMU's own, a warning names it, and
+    strict refuses it. progress: a bar on
     stderr for runs longer than 2 s; None shows it on terminals only.
 
     scheme: ``jacobi``, all components step at once with inputs held since the step's beginning; ``gauss-seidel``, one
@@ -77,8 +80,8 @@ def simulate(
         table = NO_INPUTS if input_file is None else read_inputs(input_file, opened)
         if order is not None and scheme != "gauss-seidel":
             raise UsageError.report("order", expected="the scheme gauss-seidel", received=repr(scheme))
-        wiring = wire(opened, table, starts, order)
-        _warn_of_delays(opened)
+        wiring = wire(opened, table, starts, order, strict=strict)
+        warn(wiring)
         try:
             found = master.run(wiring, clock, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
         except SimulationError as error:
@@ -114,8 +117,11 @@ def _with_outputs(system: System, recording: Recording) -> Recording:
     )
 
 
-def _warn_of_delays(system: System) -> None:
-    for loop in algebraic_loops(system, initial=False):
+def warn(wiring: Wiring) -> None:
+    """Log what a run of this system does that its author may not expect: one line for each kind."""
+    if wiring.undriven:
+        _log.warning("%s", keep_start_values(wiring.undriven))
+    for loop in algebraic_loops(wiring.system, initial=False):
         if loop.declared:
             _log.warning(
                 "algebraic loop %s: after the start FMI 2.0 lets nobody solve it, so that each step begins with values "
@@ -138,9 +144,7 @@ def open_system(system: System | str | Path, step_size: float | None = None) -> 
             yield opened
     elif Path(system).suffix == ".fmu":
         fmu = FmuComponent(system)
-        inputs = [v for v in fmu.variables if v.causality == "input" and v.start is not None]
-        starts = {Port(fmu.name, v.name): v.start for v in inputs if v.start is not None}
-        yield System({fmu.name: fmu}, start_values=starts), fmu.experiment
+        yield System({fmu.name: fmu}), fmu.experiment
     else:
         raise UsageError.report(
             "system", expected="a System or the path of an .ssp or .fmu", received=repr(str(system))

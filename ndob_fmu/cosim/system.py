@@ -60,9 +60,10 @@ class System:
     """Components by name (their order is the order of Gauss–Seidel), what drives what, and start values.
 
     connections: (source, target), each (component, variable), or (source, target, factor, offset). start_values:
-    (component, variable) → value. step_ratios: component → k for those that step over k communication steps at a time.
-    inputs: names at the system's boundary → the inputs and parameters that a start value or a column of the input file
-    of that name sets; outputs: further names that outputs are recorded under.
+    (component, variable) → value; that of a connected input is its value before the first exchange. step_ratios:
+    component → k for those that step over k communication steps at a time. inputs: names at the system's boundary → the
+    inputs and parameters that a start value or a column of the input file of that name sets; outputs: further names
+    that outputs are recorded under.
 
     ``add``, ``connect`` and ``expose`` extend the system in place and return it, so that the calls can also be chained.
     A call that raises leaves the system as it was. ``copy.copy`` makes an independent variant, ``write`` a package:
@@ -105,7 +106,7 @@ class System:
     ) -> System:
         """Add a component, given as such or by the path of its FMU, and return the system.
 
-        parameters: start values of its parameters and of the inputs that nothing will drive. step_ratio: its step in
+        parameters: start values of its parameters and inputs. step_ratio: its step in
         communication steps. Raises CouplingError if there is a component of that name already.
         """
         if name in self.components:
@@ -149,8 +150,9 @@ class System:
         the boundary become connectors, and those of parameters the entries of a parameter mapping; without any the
         package keeps to what libcosim, ecos, OMSimulator and fmpy read.
 
-        Raises CouplingError for a component that is no FMU, an input without driver, and start values that contradict
-        a name at the boundary; UsageError for step ratios without step_size and a file that cannot be written.
+        An input that nothing drives goes with the start value of its FMU, and a warning is logged. Raises CouplingError
+        for a component that is no FMU, and start values that contradict a name at the boundary; UsageError for step
+        ratios without step_size and a file that cannot be written.
         """
         from ndob_fmu.cosim.ssp.write import write_ssp  # which knows systems
 
@@ -292,9 +294,6 @@ class System:
             raise CouplingError.report(
                 str(port), expected="a variable that takes a start value", received=f"causality {variable.causality}"
             )
-        source = next((c.source for c in self.connections if c.target == port), None)
-        if source is not None:
-            raise _driven_twice(port, f"the connection from {source} and the start value {value}")
         return convert(variable, value, str(port))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ndob_fmu.cosim.component import Array, Component, Value, Variable, recordable
 from ndob_fmu.cosim.inputs import InputTable
 from ndob_fmu.cosim.system import Connection, Port, System
-from ndob_fmu.errors import CouplingError, UsageError, some_of
+from ndob_fmu.errors import CouplingError, NdobError, UsageError, some_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Wiring:
     """All signals side by side on one bus: the outputs of each component in turn, then the columns of the input file.
 
     lanes: in the order of the steps. names, types: of the outputs, the recorded part. links: the number of connections
-    between components.
+    between components. undriven: the inputs that keep the start values of their components.
     """
 
     system: System
@@ -53,32 +53,35 @@ class Wiring:
     types: tuple[str, ...]
     table: InputTable
     links: int
+    undriven: tuple[str, ...]
 
 
 def wire(
-    system: System, table: InputTable, start_values: Mapping[Port, Value], order: Sequence[str] | None = None
+    system: System,
+    table: InputTable,
+    start_values: Mapping[Port, Value],
+    order: Sequence[str] | None = None,
+    *,
+    strict: bool = False,
 ) -> Wiring:
     """Return the wiring of ``system`` with an input file's ``table`` and the start values given for this one run.
 
-    Every input must be driven exactly once: by a connection, a column of the table, or a start value. The start values
-    of this run replace those of the system, and so do the table's columns; a column and a start value of this run for
-    the same input contradict. order: each component once, in the order of the steps; None means the system's. Raises
-    CouplingError where an input has no driver or two, and for an unknown component in the order; UsageError if the
-    order lacks a component or has one twice.
+    A connection or a column of the table drives an input; its start value is what it has before the first exchange. An
+    input without a driver keeps its start value: that of this run, else of the system, else of its component, which
+    strict refuses. order: each component once, in the order of the steps; None means the system's. Raises CouplingError
+    where an input has two drivers, or with strict no value, and for an unknown component in the order; UsageError if
+    the order lacks a component or has one twice.
     """
     order = _order(system, order)
     connected = {connection.target: connection for connection in system.connections}
     for port in table.ports:
-        if port in connected or port in start_values:
-            other = (
-                f"the connection from {connected[port].source}" if port in connected else "a start value of this run"
-            )
-            raise CouplingError.report(
-                f"input {port}", expected="exactly one driver", received=f"a column of the input file and {other}"
-            )
-    kept = {port: value for port, value in system.start_values.items() if port not in table.ports}
-    system = replace(system, start_values={**kept, **start_values})
-    require_drivers(system, {*connected, *table.ports, *system.start_values})
+        if port in connected:
+            received = f"a column of the input file and the connection from {connected[port].source}"
+            raise CouplingError.report(f"input {port}", expected="exactly one driver", received=received)
+    system = replace(system, start_values={**system.start_values, **start_values})
+    undriven = undriven_inputs(system, table.ports)
+    if strict and undriven:
+        raise without_driver(undriven)
 
     outputs = [
         (Port(name, variable.name), variable.type)
@@ -95,25 +98,37 @@ def wire(
         tuple(kind for _, kind in outputs),
         table,
         len(system.connections),
+        undriven,
     )
 
 
-def require_drivers(system: System, driven: set[Port]) -> None:
-    """Raise CouplingError, naming them, for the inputs that are not among those driven."""
+def undriven_inputs(system: System, others: Iterable[Port] = ()) -> tuple[str, ...]:
+    """Return the inputs without a connection or a start value in the system, but for ``others``, by name."""
+    driven = {*(connection.target for connection in system.connections), *system.start_values, *others}
+    named = {link.port: name for name, links in system.inputs.items() for link in links}
     inputs = [
         Port(n, v.name) for n, part in system.components.items() for v in part.variables if v.causality == "input"
     ]
-    named = {link.port: name for name, links in system.inputs.items() for link in links}
-    missing = [
+    return tuple(
         f"{port} (behind {named[port]})" if port in named else str(port) for port in inputs if port not in driven
-    ]
-    if missing:
-        raise CouplingError.report(
-            f"input{'s' * (len(missing) > 1)} {some_of(missing)}",
-            expected="a connection, a column of the input file or a start value",
-            received="none of them",
-            likely="a start value was left to the component's own default; give it explicitly",
-        )
+    )
+
+
+def keep_start_values(undriven: Sequence[str]) -> str:
+    """Return the warning about inputs that nothing drives, which SSP 1.0.1 lets keep the start values of their FMUs."""
+    if len(undriven) == 1:
+        return f"nothing drives the input {some_of(undriven)}; it keeps its own start value"
+    return f"nothing drives the inputs {some_of(undriven)}; they keep their own start values"
+
+
+def without_driver(undriven: Sequence[str]) -> NdobError:
+    """Return the error for inputs that nothing drives, where that is not allowed."""
+    return CouplingError.report(
+        f"input{'s' * (len(undriven) > 1)} {some_of(undriven)}",
+        expected="a connection, a column of the input file or a start value",
+        received="none of them",
+        likely="with strict no start value is left to the component itself; give it explicitly",
+    )
 
 
 def _order(system: System, order: Sequence[str] | None) -> Sequence[str]:

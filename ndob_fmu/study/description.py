@@ -27,6 +27,8 @@ class Simulation:
     input_file: str | None = None
     scheme: str = "jacobi"
     order: tuple[str, ...] | None = None
+    tolerance: float | None = None
+    strict: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,13 +58,17 @@ class Study:
             "name": self.name,
             "system": Path(self.system).name,
             "runs": len(self.points),
-            "simulation": {key: value for key, value in asdict(self.simulation).items() if value is not None},
+            "simulation": self._settings(),
             "fixed": dict(self.fixed),
             "varied": self._varied(),
             "measures": {name: _without_none(asdict(measure)) for name, measure in self.measures.items()},
             "record": list(self.record),
             "units": dict(self.units),
         }
+
+    def _settings(self) -> dict[str, Any]:
+        settings = asdict(self.simulation)
+        return {key: value for key, value in settings.items() if value is not None and value is not False}
 
     def _varied(self) -> dict[str, Any]:
         drawn = {name for table in self.points.tables if table.drawn for name in table.names}

@@ -12,6 +12,7 @@ from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import recordable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.inputs import NO_INPUTS, read_inputs
+from ndob_fmu.cosim.run import warn
 from ndob_fmu.cosim.system import Port
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.cosim.wiring import wire
@@ -68,7 +69,8 @@ def check_coupling(
         table = NO_INPUTS if simulation.input_file is None else read_inputs(simulation.input_file, system)
         if simulation.order is not None and simulation.scheme != "gauss-seidel":
             raise UsageError.report("order", expected="scheme = 'gauss-seidel'", received=repr(simulation.scheme))
-        wire(system, table, starts, simulation.order)
+        wiring = wire(system, table, starts, simulation.order, strict=simulation.strict)
+    warn(wiring)  # once for the study
 
 
 def resolver(where: str, system: System) -> Callable[[str, Any], str]:
@@ -95,7 +97,7 @@ def unit_of(system: System, name: str) -> str | None:
     if name in system.outputs:
         return system.variable(system.outputs[name].port).unit
     if name in system.inputs:
-        return system.variable(system.inputs[name][0].port).unit
+        return next((system.variable(link.port).unit for link in system.inputs[name]), None)
     return system.variable(system.port(name)).unit
 
 

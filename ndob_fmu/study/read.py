@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -67,8 +68,13 @@ def _simulation(section: Section, folder: Path) -> Simulation:
     }
     order = section.get("order", list, None, "a list of components")
     file = section.get("input_file", str, None, "the path of a CSV file")
+    tolerance = section.number("tolerance", None, "a number > 0")
+    if tolerance is not None and not 0.0 < tolerance < math.inf:
+        raise section.wrong("tolerance", "a finite number > 0", tolerance)
     return Simulation(
         **times,
+        tolerance=tolerance,
+        strict=section.get("strict", bool, False, "true or false"),
         scheme=scheme,
         order=None if order is None else tuple(order),
         input_file=None if file is None else str(folder / file),

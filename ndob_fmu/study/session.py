@@ -43,6 +43,8 @@ class Session:
             "input_file": None if settings.input_file is None else files[settings.input_file],
             "scheme": settings.scheme,
             "order": settings.order,
+            "tolerance": settings.tolerance,
+            "strict": settings.strict,
             "progress": False,
         }
 

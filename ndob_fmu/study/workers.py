@@ -41,6 +41,7 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
         """Lay down the study's files."""
         if self._own and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which then ends its workers
+        logging.getLogger("ndob_fmu.cosim").setLevel(logging.ERROR)  # its warnings were logged when the study was read
         self._folder = tempfile.TemporaryDirectory(prefix="ndob_fmu_study_")
         self._files: dict[str, Path] = {}
         for index, (name, content) in enumerate(self._study.files.items()):

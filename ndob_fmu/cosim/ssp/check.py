@@ -16,20 +16,30 @@ from ndob_fmu.cosim.ssp.experiment import read_experiment
 from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
 from ndob_fmu.cosim.system import System
-from ndob_fmu.cosim.wiring import require_drivers
+from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs, without_driver
 from ndob_fmu.errors import NdobError, UsageError, some_of
 
 _Found = TypeVar("_Found")
 _MARKS = {True: "ok  ", False: "FAIL", None: "    "}
 
 
+class _Warning(str):
+    """What a check has found and a run will warn of."""
+
+
 @dataclass(frozen=True)
 class SystemCheck:
-    """One check; passed: None where a failure before it leaves nothing to check; found: what is there, or the error."""
+    """One check.
+
+    passed: None where a failure before it leaves nothing to check.
+    found: what is there, or the error.
+    warning: whether a run works, and warns of what was found.
+    """
 
     name: str
     passed: bool | None
     found: str
+    warning: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,9 +56,13 @@ class SystemReport:
 
     def __str__(self) -> str:
         failed = sum(row.passed is False for row in self.rows)
+        warned = sum(row.warning for row in self.rows)
         verdict = f"{failed} of {len(self.rows)} checks FAIL" if failed else f"all {len(self.rows)} checks pass"
+        verdict += f", {warned} with a warning" if warned else ""
         width = max(len(row.name) for row in self.rows)
-        lines = [f"  {_MARKS[row.passed]}  {row.name:<{width}}  {row.found}" for row in self.rows]
+        lines = [
+            f"  {'warn' if row.warning else _MARKS[row.passed]}  {row.name:<{width}}  {row.found}" for row in self.rows
+        ]
         return "\n".join([f"{self.path}: {verdict}", *lines])
 
     def to_json(self) -> str:
@@ -57,9 +71,10 @@ class SystemReport:
         return json.dumps({**report, "rows": [asdict(row) for row in self.rows]}, indent=2, ensure_ascii=False)
 
 
-def check_ssp(path: str | Path, *, picture: str | Path | None = None) -> SystemReport:
-    """Check the files by their schemas, the FMUs, the connections with types and units, and that all inputs are driven.
+def check_ssp(path: str | Path, *, strict: bool = False, picture: str | Path | None = None) -> SystemReport:
+    """Check the files by their schemas, the FMUs, the connections with types and units, and what drives the inputs.
 
+    strict: an input that nothing drives fails; else it is a warning, as in a run.
     picture: where to draw the system (.svg), if it passes. Raises UsageError if there is no such package
     or the picture cannot be written. Nothing is left of what was unpacked.
     """
@@ -69,7 +84,7 @@ def check_ssp(path: str | Path, *, picture: str | Path | None = None) -> SystemR
         system = None
         if checks.run("archive", lambda: _archive(path)):
             with open_archive(path) as archive:
-                system = _system(checks, Package(path, archive), archive, folder)
+                system = _system(checks, Package(path, archive), archive, folder, strict)
         report = SystemReport(path, tuple(checks.rows))
         if report.passed and system is not None and picture is not None:
             write_picture(picture, system, path.stem)
@@ -97,7 +112,7 @@ class _Checks:
         except NdobError as error:
             self.rows.append(SystemCheck(name, False, str(error)))
             return None
-        self.rows.append(SystemCheck(name, True, text))
+        self.rows.append(SystemCheck(name, True, str(text), isinstance(text, _Warning)))
         return found
 
 
@@ -107,7 +122,7 @@ def _archive(path: Path) -> tuple[bool, str]:
         return True, f"{len(archive.namelist())} entries, none outside its folder"
 
 
-def _system(checks: _Checks, package: Package, archive: Archive, folder: str) -> System | None:
+def _system(checks: _Checks, package: Package, archive: Archive, folder: str, strict: bool) -> System | None:
     def schemas() -> tuple[Any, str]:
         root = package.description()
         names = [name for name in archive.namelist() if Path(name).suffix in ROOTS_BY_SUFFIX]
@@ -127,7 +142,7 @@ def _system(checks: _Checks, package: Package, archive: Archive, folder: str) ->
         return system, f"{len(system.connections)} connections, {scaled} of them scaled or converted{ends}"
 
     system = checks.run("connections", connected)
-    checks.run("inputs", lambda: _driven(system))
+    checks.run("inputs", lambda: _driven(system, strict))
     checks.run("algebraic loops", lambda: _loops(system))
     return system
 
@@ -136,12 +151,12 @@ def _with(parts: dict[str, Any]) -> tuple[dict[str, Any], str]:
     return parts, f"{len(parts)} from {len({part.path for part in parts.values()})} FMUs: {some_of(parts)}"
 
 
-def _driven(system: System | None) -> tuple[None, str]:
+def _driven(system: System | None, strict: bool) -> tuple[None, str]:
     assert system is not None
-    connected = {connection.target for connection in system.connections}
-    behind = {link.port for links in system.inputs.values() for link in links}
-    require_drivers(system, connected | behind | set(system.start_values))
-    return None, "each is driven once"
+    undriven = undriven_inputs(system)
+    if undriven and strict:
+        raise without_driver(undriven)
+    return None, _Warning(keep_start_values(undriven)) if undriven else "each has a connection or a start value"
 
 
 def _loops(system: System | None) -> tuple[None, str]:

@@ -106,7 +106,7 @@ def _parameter(where: str, entry: Element, prefix: str, units: Units) -> _Parame
 
 
 def _targets(system: System, structure: Structure, path: str, element: Element, name: str) -> list[_Target]:
-    """Return all variables that a name means in a binding of the element at `path`."""
+    """Return all variables that a name means in a binding of the element at `path`; raise CouplingError for no name."""
     if local_name(element) == "Component":
         return [_port(system, structure, Port(path, name))]
     full = join(path, name)
@@ -121,7 +121,9 @@ def _targets(system: System, structure: Structure, path: str, element: Element, 
             port = Port(part, full[len(part) + 1 :])
             if any(variable.name == port.variable for variable in system.component(part).variables):
                 found.append(_port(system, structure, port))
-    return found or [_port(system, structure, system.port(full))]
+    if found or any(str(node) == full and node.owner not in structure.parts for node in structure.signals):
+        return found  # a connector of a system may lead nowhere
+    return [_port(system, structure, system.port(full))]
 
 
 def _settable(structure: Structure, node: Node) -> list[End]:

@@ -91,17 +91,17 @@ class Structure:
         return tuple(sorted(found, key=lambda connection: order[connection.target]))
 
     def inputs(self) -> dict[str, tuple[Link, ...]]:
-        """Return the inputs and parameters behind each connector of the outermost system."""
-        found: dict[str, tuple[Link, ...]] = {}
-        for node, signal in self.signals.items():
-            if node.owner == "" and signal.kind in _INWARDS:
-                links = tuple(Link(Port(*end.node), end.factor, end.offset) for end in self.ends(node))
-                if links:
-                    found[node.name] = links
-        return found
+        """Return the inputs and parameters behind each connector of the outermost system; there may be none."""
+        return {
+            node.name: tuple(
+                Link(Port(*end.node), end.factor, end.offset) for end in self.ends(node) if end.node.owner in self.parts
+            )
+            for node, signal in self.signals.items()
+            if node.owner == "" and signal.kind in _INWARDS
+        }
 
     def outputs(self) -> dict[str, Link]:
-        """Return the output behind each connector of the outermost system."""
+        """Return the output behind each connector of the outermost system that one leads to."""
         found = {
             end.node.name: Link(Port(*source), end.factor, end.offset)
             for source in self._sources()
@@ -109,12 +109,7 @@ class Structure:
             if end.node.owner == ""
         }
         shown = [node.name for node, signal in self.signals.items() if node.owner == "" and signal.kind in _OUTWARDS]
-        for name in shown:
-            if name not in found:
-                raise CouplingError.report(
-                    f"{self.where}, output {name}", expected="a connection from a component's output", received="none"
-                )
-        return {name: found[name] for name in shown}
+        return {name: found[name] for name in shown if name in found}
 
     def ends(self, node: Node) -> list[End]:
         """Return where a signal from `node` gets to: ports of components and outputs of the outermost system."""
@@ -202,7 +197,8 @@ class Structure:
 
     def _end(self, path: str, connection: Element, end: str, dictionaries: dict[str, str]) -> tuple[Node, bool | None]:
         """Return the node at one end and whether it gives (True) or takes (False); None where the other end decides."""
-        element, name = connection.get(f"{end}Element"), connection.get(f"{end}Connector")
+        # An empty name means the system itself, as no name does; OMSimulator writes it.
+        element, name = connection.get(f"{end}Element") or None, connection.get(f"{end}Connector")
         owner = path if element is None else dictionaries.get(element, join(path, element))
         node = Node(owner, name)
         if owner in self.parts:

@@ -6,7 +6,9 @@ parameter set per component with bare names, all of one name. Only what the syst
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from ndob_fmu.cosim.component import Value, Variable
@@ -19,10 +21,11 @@ from ndob_fmu.cosim.ssp.pack import write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.system import Link, Port, System
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.cosim.wiring import require_drivers
+from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs
 from ndob_fmu.errors import CouplingError, ModelError, UsageError
 from ndob_fmu.units import BaseUnit, base_unit
 
+_log = logging.getLogger(__name__)
 _ASIS = (1.0, 0.0)
 
 
@@ -40,12 +43,21 @@ def describe(
 ) -> dict[str, bytes]:
     """Return the XML files of the package by their names.
 
-    Raises CouplingError for a component that is no FMU, an input without driver, and a name at the boundary whose
-    variables start with values that contradict it; UsageError for step ratios without a step size.
+    Raises CouplingError for a component that is no FMU, and a name at the boundary whose variables start with values
+    that contradict it; UsageError for step ratios without a step size.
     """
     exposed = {link.port for links in system.inputs.values() for link in links}
-    require_drivers(system, {*(c.target for c in system.connections), *system.start_values, *exposed})
+    undriven = undriven_inputs(system, exposed)
+    if undriven:
+        _log.warning("%s", keep_start_values(undriven))
+        system = _with_own_starts(system, map(system.port, undriven))
     return _Writer(system, name, parameter_set).files(experiment, description, exposed)
+
+
+def _with_own_starts(system: System, ports: Iterable[Port]) -> System:
+    """Return the system with start values of its FMUs said in the package: tools differ in what they make of none."""
+    own = {port: system.variable(port).start for port in ports}
+    return replace(system, start_values={**{p: v for p, v in own.items() if v is not None}, **system.start_values})
 
 
 def _fmus(system: System) -> dict[str, Path]:
