@@ -43,6 +43,7 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.bit_flips --trials 2000 --seed 1
+	$(BIN)/python -m tests.attacks.study_files --trials 10000 --seed 1
 
 tools: .venv/installed-test
 	$(BIN)/python tests/tools_page.py

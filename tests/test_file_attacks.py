@@ -24,6 +24,13 @@ def test_damaged_and_malicious_archives_are_refused_in_one_line_or_read_as_what_
     assert line.endswith("; 0 faults")
 
 
+def test_study_files_with_any_value_in_any_place_are_valid_or_refused_in_one_line():
+    line = attack("study_files", trials=150, seed=2)
+    assert " valid" in line
+    assert " refused in one line" in line
+    assert line.endswith("; 0 faults")
+
+
 def test_damaged_results_are_read_as_they_were_written_or_not_at_all():
     line = attack("bit_flips", trials=70, seed=2)
     assert "0 changed tables, 0 raw exceptions" in line

@@ -25,21 +25,34 @@ from ndob_fmu.study.toml_file import Section
 def check_names(file: Section, system: System, points: Points, fixed: Mapping[str, Value]) -> None:
     """Raise UsageError or CouplingError unless each name can be set and takes all of its values."""
     levels = {name: [value] for name, value in fixed.items()} | points.levels()
+    set_by: dict[Port, str] = {}
     for name, values in levels.items():
         if name == STEP_SIZE:
-            if not all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0 for v in values):
-                raise UsageError.report(f"{file.where}, {name}", expected="positive numbers", received=repr(values))
+            wrong = [v for v in values if isinstance(v, bool | str) or not v > 0]
+            if wrong:
+                raise UsageError.report(f"{file.where}, {name}", expected="positive numbers", received=repr(wrong[0]))
             continue
         with _located(file.where):
             first = system.starts(name, values[0])
+            for port in first:
+                if port in set_by:
+                    raise UsageError.report(
+                        str(port), expected="one name that sets it", received=f"{set_by[port]!r} and {name!r}"
+                    )
+                set_by[port] = name
             replace(system, start_values={**system.start_values, **first})
             for value in values:
                 for port in first:
                     convert(system.variable(port), value, name)
 
 
-def check_times(file: Section, experiment: Experiment, simulation: Simulation, points: Points) -> list[float]:
-    """Return the step sizes of the study in s; raise UsageError unless each of them fits into the times."""
+def check_times(
+    file: Section, experiment: Experiment, simulation: Simulation, points: Points
+) -> tuple[list[float], float]:
+    """Return the step sizes of the study and the least time of a last row (s).
+
+    Raises UsageError unless each step size fits into the times.
+    """
     start, stop = (
         default if given is None else given
         for given, default in (
@@ -48,14 +61,13 @@ def check_times(file: Section, experiment: Experiment, simulation: Simulation, p
         )
     )
     default = experiment.step_size if simulation.step_size is None else simulation.step_size
-    steps = [float(step) for step in points.levels().get(STEP_SIZE, [default] if default else [])]
+    steps = [float(step) for step in points.levels().get(STEP_SIZE, [] if default is None else [default])]
     if stop is None or not steps:
         received = "none, and the system has no default"
         raise UsageError.report(f"{file.where}, [simulation]", expected="stop_time and step_size", received=received)
     with _located(f"{file.where}, [simulation]"):
-        for step in steps:
-            Clock.over(start or 0.0, stop, step, simulation.output_interval)
-    return steps
+        clocks = [Clock.over(start or 0.0, stop, step, simulation.output_interval) for step in steps]
+    return steps, min(clock.time(clock.steps - clock.steps % clock.stride) for clock in clocks)
 
 
 def check_coupling(

@@ -14,6 +14,8 @@ from scipy.stats import qmc
 
 from ndob_fmu.cosim import Value
 
+_LEAST_SHARE = 2.0**-53  # a drawn share may be 0, where a normal distribution has no finite value
+
 
 @dataclass(frozen=True)
 class Table:
@@ -39,6 +41,7 @@ class Range:
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values below which a ``share`` in (0, 1) of the distribution lies, of the same shape."""
         if self.normal:
+            share = np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
             return np.asarray(stats.norm.ppf(share, loc=self.a, scale=self.b))
         if self.log:
             between = np.exp(math.log(self.a) + share * (math.log(self.b) - math.log(self.a)))

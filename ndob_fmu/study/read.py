@@ -11,7 +11,7 @@ from typing import Any
 from ndob_fmu.cosim import System, Value, open_system
 from ndob_fmu.cosim.schemes import SCHEMES
 from ndob_fmu.errors import UsageError, nearest, one_of
-from ndob_fmu.study.columns import RESERVED
+from ndob_fmu.study.columns import RESERVED, over_time
 from ndob_fmu.study.description import STEP_SIZE, Simulation, Study
 from ndob_fmu.study.measures import SETTLING_TIME, TAKES, Measure
 from ndob_fmu.study.names import check_coupling, check_names, check_times, outputs, resolver, unit_of
@@ -31,26 +31,27 @@ def read_study(path: str | Path) -> Study:
     path = Path(path)
     file = read_toml(path)
     file.only(_SECTIONS)
-    system = path.parent / file.get("system", str, ..., '"path of an .ssp or .fmu"')
+    system = path.parent / str(file.path("system", ..., '"path of an .ssp or .fmu"'))
     simulation = _simulation(file.section("simulation"), path.parent)
-    seed = file.get("seed", int, 1, "a whole number")
-    fixed = dict(flat(file.section("fixed").entries))
+    seed = file.count("seed", 1, 0, 2**63 - 1)
+    fixed = dict(_fixed(file.section("fixed")))
     points = Points(tuple(read_tables(file, seed)))
-    _check_points(file, points, fixed)
+    _check_points(file, simulation, points, fixed)
     with open_system(system, simulation.step_size) as (opened, experiment):
         check_names(file, opened, points, fixed)
         resolve = resolver(file.where, opened)
         measures = dict(_measures(file.section("measures"), resolve))
         if not measures:
             measures = {name: Measure(name, "final") for name in outputs(opened)}
-        record = tuple(resolve("record", name) for name in file.get("record", list, [], "a list of signals"))
-        steps = check_times(file, experiment, simulation, points)
+        record = tuple(resolve("record", name) for name in file.names("record", [], "a list of signals"))
+        steps, last = check_times(file, experiment, simulation, points)
+        _check_begin(file, measures, last)
         check_coupling(file, opened, simulation, points, fixed)
         units = _units(opened, points, measures, record)
     for step in steps:
         with open_system(system, step):  # whether the components' own steps are multiples of it
             pass
-    _check_columns(file, points, measures)
+    _check_columns(file, points, measures, record)
     contents = [str(system), *([simulation.input_file] if simulation.input_file else [])]
     files = {name: _content(name) for name in contents}
     return Study(path.stem, str(system), simulation, fixed, points, measures, record, units, files)
@@ -66,11 +67,11 @@ def _simulation(section: Section, folder: Path) -> Simulation:
         name: section.number(name, None, "a number of seconds")
         for name in ("start_time", "stop_time", STEP_SIZE, "output_interval")
     }
-    order = section.get("order", list, None, "a list of components")
-    file = section.get("input_file", str, None, "the path of a CSV file")
+    order = section.names("order", None, "a list of components")
+    file = section.path("input_file", None, "the path of a CSV file")
     tolerance = section.number("tolerance", None, "a number > 0")
-    if tolerance is not None and not 0.0 < tolerance < math.inf:
-        raise section.wrong("tolerance", "a finite number > 0", tolerance)
+    if tolerance is not None and not tolerance > 0.0:
+        raise section.wrong("tolerance", "a number > 0", tolerance)
     return Simulation(
         **times,
         tolerance=tolerance,
@@ -81,7 +82,7 @@ def _simulation(section: Section, folder: Path) -> Simulation:
     )
 
 
-def _check_points(file: Section, points: Points, fixed: Mapping[str, Value]) -> None:
+def _check_points(file: Section, simulation: Simulation, points: Points, fixed: Mapping[str, Value]) -> None:
     if not points.names:
         received = "none of them"
         expected = one_of("table", (f"[{kind}]" for kind in KINDS))
@@ -91,6 +92,9 @@ def _check_points(file: Section, points: Points, fixed: Mapping[str, Value]) -> 
         if name in seen:
             raise UsageError.report(file.where, expected=f"{name} in one place", received="two that set it")
         seen.add(name)
+    if STEP_SIZE in points.names and simulation.step_size is not None:
+        received = "one in [simulation] and values that vary"
+        raise UsageError.report(file.where, expected=f"{STEP_SIZE} in one place", received=received)
     if STEP_SIZE in fixed:
         raise UsageError.report(file.where, expected=f"{STEP_SIZE} in [simulation]", received=f"{STEP_SIZE} in [fixed]")
 
@@ -110,9 +114,35 @@ def _measures(section: Section, resolve: Callable[[str, Any], str]) -> Iterator[
                 take,
                 None if minus is None else resolve(f"measure {name}", minus),
                 entry.number("after", None, "a number of seconds"),
-                entry.number("within", 0.02),
+                _share(entry),
             ),
         )
+
+
+def _share(entry: Section) -> float:
+    within: float = entry.number("within", 0.02)
+    if not within > 0:
+        raise entry.wrong("within", "a positive share", within)
+    return within
+
+
+def _fixed(section: Section) -> Iterator[tuple[str, Value]]:
+    for name, value in flat(section.entries):
+        if not isinstance(value, bool | int | float | str):
+            likely = "values that vary belong in [grid] or [list]"
+            raise section.wrong(name, "one number, text, true or false", value, likely)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise section.wrong(name, "a finite number", value)
+        yield name, value
+
+
+def _check_begin(file: Section, measures: Mapping[str, Measure], last: float) -> None:
+    for name, measure in measures.items():
+        if measure.after is not None and measure.after > last + 1e-12:
+            where = f"{file.where}, [measures], [{name}], after"
+            raise UsageError.report(
+                where, expected=f"a time up to the last row, {last!r} s", received=f"{measure.after!r} s"
+            )
 
 
 def _units(system: System, points: Points, measures: Mapping[str, Measure], record: tuple[str, ...]) -> dict[str, str]:
@@ -121,10 +151,20 @@ def _units(system: System, points: Points, measures: Mapping[str, Measure], reco
     return {name: unit for name, unit in found.items() if unit}
 
 
-def _check_columns(file: Section, points: Points, measures: Mapping[str, Measure]) -> None:
-    for name in measures:
-        if name in (*RESERVED, *points.names):
-            raise UsageError.report(f"{file.where}, [measures]", expected="a new name", received=repr(name))
+def _check_columns(file: Section, points: Points, measures: Mapping[str, Measure], record: tuple[str, ...]) -> None:
+    seen = {*RESERVED}
+    for where, names in (
+        ("parameters", points.names),
+        ("[measures]", measures),
+        ("record", [over_time(name) for name in record]),
+    ):
+        for name in names:
+            if name in seen:
+                likely = "the table of results has a column of that name"
+                raise UsageError.report(
+                    f"{file.where}, {where}", expected="a new name", received=repr(name), likely=likely
+                )
+            seen.add(name)
 
 
 def _content(name: str) -> bytes:

@@ -14,7 +14,8 @@ from ndob_fmu.study.points import Range, Table, grid, latin_hypercube, listed, r
 from ndob_fmu.study.toml_file import Section
 
 KINDS = ("grid", "list", "latin_hypercube", "random")
-_MOST_RUNS = 1_000_000  # whose points still fit in some hundred megabytes
+MOST_RUNS = 1_000_000
+_MOST_VALUES = 10_000_000  # which still fit in some hundred megabytes
 _RANGE = {"from", "to", "mean", "std"}
 
 
@@ -36,30 +37,37 @@ def read_tables(file: Section, seed: int) -> Iterator[Table]:
                 raise UsageError.report(section.where, expected="as many values for each name", received=received)
             runs *= math.prod(lengths.values()) if kind == "grid" else max(lengths.values())
             _check_runs(file, runs)
+            _check_size(section, runs, len(columns))
             yield grid(columns) if kind == "grid" else listed(columns)
         else:
-            count = section.get("runs", int, ..., "how many points")
-            if count < 1:
-                raise section.wrong("runs", "1 or more", count)
+            count = section.count("runs", ..., 1, MOST_RUNS)
             entries = {name: entry for name, entry in section.entries.items() if name != "runs"}
             ranges = {name: _range(section, name, entry) for name, entry in flat(entries)}
             if not ranges:
                 raise UsageError.report(section.where, expected="parameters with ranges", received="none")
             runs *= count
             _check_runs(file, runs)
+            _check_size(section, count, len(ranges))
             yield latin_hypercube(ranges, count, seed) if kind == "latin_hypercube" else random(ranges, count, seed)
 
 
 def _check_runs(file: Section, runs: int) -> None:
-    if runs > _MOST_RUNS:
-        received = f"{runs}, every combination of the tables"
-        raise UsageError.report(file.where, expected=f"at most {_MOST_RUNS} runs", received=received)
+    if runs > MOST_RUNS:
+        received = f"{runs if runs < 10**18 else 'more than 10^18'}, every combination of the tables"
+        raise UsageError.report(file.where, expected=f"at most {MOST_RUNS} runs", received=received)
+
+
+def _check_size(section: Section, rows: int, columns: int) -> None:
+    if rows * columns > _MOST_VALUES:
+        expected = f"at most {_MOST_VALUES} values, runs times parameters"
+        raise UsageError.report(section.where, expected=expected, received=f"{rows} times {columns}")
 
 
 def flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield names with their dots, however they are written: ``a.b = 1``, ``"a.b" = 1`` or ``[section.a]``."""
     for name, entry in entries.items():
-        if isinstance(entry, dict) and not any(key in _RANGE and not isinstance(entry[key], dict) for key in entry):
+        ranged = isinstance(entry, dict) and any(key in _RANGE and not isinstance(entry[key], dict) for key in entry)
+        if isinstance(entry, dict) and entry and not ranged:
             yield from flat(entry, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", entry
@@ -69,11 +77,9 @@ def _values(section: Section, name: str, entry: Any) -> list[Value]:
     if isinstance(entry, dict):
         spread = Section(f"{section.where}, {name}", entry)
         spread.only(["from", "to", "values", "scale"])
-        count = spread.get("values", int, ..., "how many")
-        if count < 2:
-            raise spread.wrong("values", "2 or more", count)
+        count = spread.count("values", ..., 2, MOST_RUNS)
         return [float(value) for value in _limits(spread).at(np.linspace(0.0, 1.0, count))]
-    if not isinstance(entry, list) or not entry or not all(isinstance(v, int | float | str) for v in entry):
+    if not isinstance(entry, list) or not entry or not all(isinstance(v, bool | int | float | str) for v in entry):
         raise section.wrong(
             name,
             "a list of values or { from = …, to = …, values = … }",
@@ -93,10 +99,12 @@ def _range(section: Section, name: str, entry: Any) -> Range:
     spread = Section(f"{section.where}, {name}", entry)
     if "mean" in entry or "std" in entry:
         spread.only(["mean", "std"])
-        deviation = spread.number("std", ...)
+        mean, deviation = spread.number("mean", ...), spread.number("std", ...)
         if not deviation > 0:
             raise spread.wrong("std", "a positive number", deviation)
-        return Range(spread.number("mean", ...), deviation, normal=True)
+        if not math.isfinite(10.0 * deviation + abs(mean)):
+            raise spread.wrong("std", "one whose tenfold is finite beside the mean", deviation)
+        return Range(mean, deviation, normal=True)
     spread.only(["from", "to", "scale"])
     return _limits(spread)
 
@@ -106,8 +114,10 @@ def _limits(spread: Section) -> Range:
     scale = spread.get("scale", str, "linear", '"linear" or "log"')
     if scale not in ("linear", "log"):
         raise spread.wrong("scale", "'linear' or 'log'", scale)
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise spread.wrong("to", f"a finite number above {low!r}", high)
+    if not low < high:
+        raise spread.wrong("to", f"a number above {low!r}", high)
+    if not math.isfinite(high - low):
+        raise spread.wrong("to", f"a number at a finite distance from {low!r}", high)
     if scale == "log" and low <= 0:
         raise spread.wrong("from", "a positive number, for the scale is logarithmic", low)
     return Range(low, high, log=scale == "log")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -14,6 +15,12 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+
+_MOST_BYTES = 16 * 2**20
+_MOST_LEVELS = 20
+_NESTING = f"tables and lists nested at most {_MOST_LEVELS} levels deep"
+_NUMBERS = "whole numbers of at most 64 bits"
 
 
 @dataclass(frozen=True)
@@ -43,7 +50,33 @@ class Section:
     def number(self, name: str, default: Any, expected: str = "a number") -> Any:
         """Return a number as a float."""
         value = self.get(name, (int, float), default, expected)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self.wrong(name, f"{expected} that is finite", value)
         return float(value) if isinstance(value, int) else value
+
+    def count(self, name: str, default: Any, least: int, most: int) -> int:
+        """Return a whole number between two bounds."""
+        expected = f"a whole number from {least} to {most}"
+        value: int = self.get(name, int, default, expected)
+        if not least <= value <= most:
+            raise self.wrong(name, expected, value)
+        return value
+
+    def path(self, name: str, default: Any, expected: str) -> str | None:
+        """Return the path of a file; raise UsageError for characters that no path has."""
+        value: str | None = self.get(name, str, default, expected)
+        if value is not None and not value.isprintable():
+            raise self.wrong(name, f"{expected} without control characters", value)
+        return value
+
+    def names(self, name: str, default: Any, expected: str) -> Any:
+        """Return a list of different names, or the default."""
+        value = self.get(name, list, default, expected)
+        if value is default:
+            return value
+        if not all(isinstance(entry, str) for entry in value) or len(set(value)) < len(value):
+            raise self.wrong(name, f"{expected}, each once", value)
+        return value
 
     def section(self, name: str) -> Section:
         """Return a table, empty if the file has none of that name."""
@@ -55,12 +88,44 @@ class Section:
 
 
 def read_toml(path: Path) -> Section:
-    """Return the whole file; raise UsageError if it cannot be read or is no TOML, with the line and what is there."""
+    """Return the whole file; raise UsageError if it cannot be read or is no TOML, with the line and what is there.
+
+    Numbers fit into 64 bits, tables and lists are nested at most some levels deep.
+    """
+    where = str(path)
     try:
-        return Section(str(path), tomllib.loads(path.read_text("utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError.report(str(path), expected="a study file that can be read", received=str(error)) from error
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        raise UsageError.report(where, expected="a study file that can be read", received=str(error)) from error
+    if len(data) > _MOST_BYTES:
+        raise UsageError.report(where, expected=f"a study file of at most {_MOST_BYTES // 2**20} MiB", received="more")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UsageError.report(where, expected="text in UTF-8", received=str(error)) from error
+    try:
+        entries = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UsageError.report(
-            str(path), expected="TOML", received=str(error), likely="text needs quotes, a list needs [ and ]"
+            where, expected="TOML", received=str(error), likely="text needs quotes, a list needs [ and ]"
         ) from error
+    except ValueError as error:  # Python's own limit for the digits of a number
+        raise UsageError.report(where, expected=_NUMBERS, received="a number of thousands of digits") from error
+    except RecursionError as error:
+        raise UsageError.report(where, expected=_NESTING, received="many more") from error
+    _check_values(where, entries)
+    return Section(where, entries)
+
+
+def _check_values(where: str, entries: Any) -> None:
+    level = [entries]
+    for _ in range(_MOST_LEVELS):
+        inside = [value for part in level for value in (part.values() if isinstance(part, dict) else part)]
+        large = [value for value in inside if isinstance(value, int) and not -(2**63) <= value < 2**63]
+        if large:
+            raise UsageError.report(where, expected=_NUMBERS, received=f"one of {large[0].bit_length()} bits")
+        level = [value for value in inside if isinstance(value, dict | list)]
+        if not level:
+            return
+    raise UsageError.report(where, expected=_NESTING, received="more")
