@@ -19,6 +19,7 @@ from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.ssp.write import describe
 from ndob_fmu.results import atomic_path
+from ssp.boundary import with_boundary
 from ssp.nested import two_joints_full
 
 HERE = Path(__file__).resolve().parent
@@ -48,6 +49,7 @@ RESOLUTION = 2.0 * pi / 4096  # of the encoders, in rad
 NOISE = 5e-4  # rad, before the encoders round
 TURNED = {"a": 1.0, "b": 0.0}  # rad, where the two arms start
 SPRING = 2.0  # N·m/rad, between them
+REFERENCE = {"link_angle_reference": ("controller.link_angle_reference",)}
 SMALL_NOISE = 1e-5  # rad, where there is no encoder: as much as lets the observer bear a model that is not exact
 
 
@@ -152,6 +154,33 @@ def disturbance_rejection_full(fmus: Path, values: ParameterSet) -> System:
     return system
 
 
+def open_loop_boundary(fmus: Path, values: ParameterSet) -> System:
+    """The paper's example as one block: torques in, the plant's outputs and their estimates out."""
+    torques = {"motor_torque": ("plant.motor_torque", "observer.motor_torque"), "load_torque": ("plant.load_torque",)}
+    return with_boundary(open_loop(fmus, values), torques, {})
+
+
+def disturbance_rejection_boundary(fmus: Path, values: ParameterSet) -> System:
+    """The closed loop as one block: the reference of the link's angle in, the loop's signals out."""
+    system = disturbance_rejection(fmus, values)
+    return with_boundary(system, REFERENCE, {"motor_torque": "controller.motor_torque"})
+
+
+def noisy_encoder_boundary(fmus: Path, values: ParameterSet) -> System:
+    """The loop with noisy encoders as one block: the reference of the link's angle in, the loop's signals out."""
+    measured = {f"measured_{angle}": f"{angle}_encoder.measured_angle" for angle in MEASURED}
+    system = noisy_encoder(fmus, values)
+    return with_boundary(system, REFERENCE, {"motor_torque": "controller.motor_torque", **measured})
+
+
+def two_joints_boundary(fmus: Path, values: ParameterSet) -> System:
+    """The two joints as one block: the motors' torques in, the outputs of both plants and observers out."""
+    torques = {f"motor_torque_{j}": (f"plant_{j}.motor_torque", f"observer_{j}.motor_torque") for j in TURNED}
+    return with_boundary(
+        two_joints(fmus, values), torques, {f"spring_torque_{j}": f"spring.torque_{j}" for j in TURNED}
+    )
+
+
 # (what makes it, stop time in s, its parameter sets)
 SYSTEMS: Mapping[str, tuple[Callable[[Path, ParameterSet], System], float, tuple[str, ...]]] = {
     "open_loop": (open_loop, 20.0, ("nominal", "heavy_arm", "detuned")),
@@ -159,6 +188,10 @@ SYSTEMS: Mapping[str, tuple[Callable[[Path, ParameterSet], System], float, tuple
     "disturbance_rejection_full": (disturbance_rejection_full, 10.0, ("nominal",)),
     "noisy_encoder": (noisy_encoder, 10.0, tuple(SETS)),
     "two_joints": (two_joints, 10.0, ("nominal", "heavy_arm", "detuned")),
+    "open_loop_boundary": (open_loop_boundary, 20.0, ("nominal",)),
+    "disturbance_rejection_boundary": (disturbance_rejection_boundary, 10.0, ("nominal",)),
+    "noisy_encoder_boundary": (noisy_encoder_boundary, 10.0, ("nominal",)),
+    "two_joints_boundary": (two_joints_boundary, 10.0, ("nominal",)),
 }
 
 

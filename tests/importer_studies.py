@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from importers import Rows, Study
 
-from ndob_fmu.cosim import FmuComponent, Port, System, simulate
+from ndob_fmu.cosim import FmuComponent, Port, System, open_ssp, simulate
 from ndob_fmu.results import Recording, write_csv
 
 PLANT = ("link_angle", "motor_angle", "link_rate", "motor_rate", "load_torque_total")
@@ -70,17 +70,25 @@ def _columns(**names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{instance}.{name}" for instance, of_instance in names.items() for name in of_instance)
 
 
+def as_one_block(package: Path, steps: int = 300) -> Study:
+    """A package with names at its boundary: all inputs there are set, all Real outputs there are shown."""
+    with open_ssp(package) as (system, _):
+        shown = tuple(name for name, link in system.outputs.items() if system.variable(link.port).type == "Real")
+        starts = dict.fromkeys(system.inputs, 0.1)
+    return Study(package=str(package), starts=starts, shown=shown, steps=steps)
+
+
 def reference(study: Study) -> Rows:
     """Return the rows of our own master."""
+    run = {"stop_time": study.times[-1], "step_size": study.step_size}
     if study.package:
-        found = simulate(study.package, stop_time=study.times[-1], step_size=study.step_size)
+        found = simulate(study.package, start_values=study.starts, **run)
         return np.column_stack([found.time, *(found[column] for column in study.shown)])
     system = System(
         {name: FmuComponent(path, name) for name, path in study.instances.items()},
         connections=tuple((_port(source), _port(target)) for source, target in study.connections),
         start_values={_port(name): value for name, value in study.first.items()},
     )
-    run = {"stop_time": study.times[-1], "step_size": study.step_size}
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder:
         if study.inputs:
             run["input_file"] = Path(folder) / "inputs.csv"

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,14 @@ def fmpy(study: Study) -> Rows:
         instance.reset()
     found = run(study.steps)
     return np.column_stack([found["time"], *(found[column] for column in columns)])
+
+
+def fmucontainer(study: Study) -> Rows:
+    """The package as one FMU, a container of fmu-manipulation-toolbox with the names at the boundary, in fmpy."""
+    package = Path(shutil.copy(study.package, Path.cwd()))
+    command = shutil.which("fmucontainer", path=str(Path(sys.executable).parent))
+    subprocess.run([command, "-container", package.name], check=True, capture_output=True)
+    return fmpy(replace(study, package=None, instances={"container": str(package.with_suffix(".fmu"))}))
 
 
 def libcosimpy(study: Study) -> Rows:
@@ -181,7 +193,84 @@ def ecospy(study: Study) -> Rows:
     return np.array(rows)
 
 
-TOOLS: dict[str, Callable[[Study], Rows]] = {tool.__name__: tool for tool in (fmpy, libcosimpy, ecospy)}
+def gemseo(study: Study) -> Rows:
+    """gemseo-fmu, one FMU in fmpy. It sets what it is given also after initialization: inputs, no fixed parameters."""
+    from gemseo_fmu.disciplines.fmu_discipline import FMUDiscipline
+
+    ((name, path),) = study.instances.items()
+    columns = [column.removeprefix(f"{name}.") for column in study.shown]
+    given = {port: np.array([value]) for port, value in _bare(name, study.starts).items()}
+    given |= {port: _held(values, study.step_size) for port, values in _bare(name, study.inputs).items()}
+    discipline = FMUDiscipline(
+        path,
+        input_names=list(given),  # without it all parameters too, each set as a Real
+        output_names=columns,
+        final_time=study.times[-1],
+        time_step=study.step_size,
+    )
+    found = discipline.execute(given)
+    return np.column_stack([found[f"{discipline.name}_time"], *(found[column] for column in columns)])
+
+
+def pathsim(study: Study) -> Rows:
+    """pathsim-fmi, one FMU. It makes the step from t when it comes to t, so that outputs are seen one step early."""
+    from pathsim import Connection, Simulation
+    from pathsim.blocks import Scope, Source
+    from pathsim_fmi import CoSimulationFMU
+
+    ((name, path),) = study.instances.items()
+    fmu = CoSimulationFMU(path, name, _bare(name, study.first), study.step_size)
+    constant = {port: (value,) * (study.steps + 1) for port, value in study.starts.items()}
+    driven = {port: values for port, values in _bare(name, constant | dict(study.inputs)).items() if port in fmu.inputs}
+    sources = {port: Source(_held(values, study.step_size)) for port, values in driven.items()}
+    connections = [Connection(source, fmu[port]) for port, source in sources.items()]
+    scope = Scope()
+    columns = [column.removeprefix(f"{name}.") for column in study.shown]
+    connections += [Connection(fmu[column], scope[k]) for k, column in enumerate(columns)]
+    before = [fmu.outputs[column] for column in columns]
+    simulation = Simulation([fmu, scope, *sources.values()], connections, dt=study.step_size, log=False)
+    simulation.run(study.times[-2])
+    _, found = scope.read()
+    return np.column_stack([study.times, np.vstack([before, np.transpose(found)])])
+
+
+def cofmupy(study: Study) -> Rows:
+    """CoFmuPy, one FMU. Its results begin with the first step's end; what is before is asked for by itself."""
+    from cofmupy import Coordinator
+
+    ((name, path),) = study.instances.items()
+    names = [(name, column.removeprefix(f"{name}.")) for column in study.shown]
+    # It adds times up and takes the row before: each row stands half a step before it is wanted.
+    early = [repr(float(time)) for time in study.times - study.step_size / 2]
+    connections = [
+        {
+            "source": {"type": "literal", "values": dict(zip(early, values, strict=True))},
+            "target": {"type": "fmu", "id": name, "variable": port},
+        }
+        for port, values in _bare(name, study.inputs).items()
+    ]
+    fmu = {"id": name, "name": name, "path": path, "initialization": _bare(name, study.first)}
+    coordinator = Coordinator()
+    coordinator.start({"fmus": [fmu], "connections": connections})
+    rows = [[coordinator.get_variable(column)[0] for column in names]]
+    for _ in range(study.steps):
+        coordinator.do_step(study.step_size)
+    found = coordinator.get_results()
+    rows += zip(*(found[column] for column in names), strict=True)
+    return np.column_stack([study.times, rows])
+
+
+def _bare(name: str, ports: Mapping[str, T]) -> dict[str, T]:
+    return {port.removeprefix(f"{name}."): value for port, value in ports.items()}
+
+
+def _held(values: tuple[float, ...], step_size: float) -> Callable[[float], float]:
+    return lambda time: values[round(time / step_size)]
+
+
+TOOLS: dict[str, Callable[[Study], Rows]] = {
+    tool.__name__: tool for tool in (fmpy, fmucontainer, libcosimpy, ecospy, gemseo, pathsim, cofmupy)
+}
 
 
 def main(tool: str, study: str, rows: str) -> None:

@@ -55,6 +55,8 @@ def test_every_component_has_an_fmu_of_its_own_named_after_both(fmus, tmp_path):
     with zipfile.ZipFile(system.write(tmp_path / "s.ssp")) as package:
         names = [name for name in package.namelist() if name.endswith(".fmu")]
     assert names == [f"resources/{name}.fmu" for name in ("gain_Gain", "one_Integrator", "two_Integrator")]
+    with open_ssp(tmp_path / "s.ssp") as (read, _), zipfile.ZipFile(read.write(tmp_path / "again.ssp")) as package:
+        assert [name for name in package.namelist() if name.endswith(".fmu")] == names
 
 
 LIKE_NAMES = ("a/b", "a?b", "A:B", "a_b_Integrator", "ä", "Ä", "nul", "x" * 300, "x" * 301, "s.boundary", "../up")

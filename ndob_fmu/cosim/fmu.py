@@ -64,6 +64,11 @@ class FmuComponent:
         return self._description.variables
 
     @property
+    def model_identifier(self) -> str:
+        """The model identifier of the model description, also where the file has another name."""
+        return self._description.model_identifier
+
+    @property
     def experiment(self) -> Experiment:
         """The FMU's default experiment."""
         return self._description.experiment

@@ -84,7 +84,7 @@ def _line(source: str, target: str, factor: float, offset: float) -> str:
 
 def _kind(system: System, name: str) -> str:
     component = system.components[name]
-    text = Path(str(getattr(component, "path", type(component).__name__))).stem
+    text = getattr(component, "model_identifier", type(component).__name__)
     ratio = system.step_ratios.get(name, 1)
     return text if ratio == 1 else f"{text}, every {ratio} steps"
 

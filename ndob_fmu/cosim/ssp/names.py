@@ -1,4 +1,7 @@
-"""Names of the files in a package. Some tools unpack a package by file name, into one folder: no name may occur twice."""
+"""Names of the files in a package.
+
+Some tools unpack the files of a package into one folder, by file name, so that no two may have the same name.
+"""
 
 from __future__ import annotations
 

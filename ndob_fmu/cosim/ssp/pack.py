@@ -31,8 +31,8 @@ def build_ssp(
 
     The FMUs are those the .ssd names, taken from ``fmu_dir``: ``resources/plant_Arm.fmu`` of the component ``plant`` is
     Arm.fmu there, unless there is a plant_Arm.fmu. FMUs that were built by this package get the start values of the
-    system, for tools that do not read them. The same files give the same bytes. Raises UsageError if the folder has no .ssd or
-    the package cannot be written, CouplingError if an FMU is missing or the system is none that could be run.
+    system, for tools that do not read them. The same files give the same bytes. Raises UsageError if the folder has no
+    .ssd or the package cannot be written, CouplingError if an FMU is missing or the system cannot be run.
     """
     folder, fmu_dir = Path(folder), Path(fmu_dir)
     description = folder / SSD_NAME

@@ -16,7 +16,7 @@ from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.ssp import markup
 from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
-from ndob_fmu.cosim.ssp.names import FileNames
+from ndob_fmu.cosim.ssp.names import FileNames, plain
 from ndob_fmu.cosim.ssp.pack import write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.system import Link, Port, System
@@ -73,10 +73,12 @@ def _fmus(system: System) -> dict[str, Path]:
 def _entries(fmus: Mapping[str, Path]) -> dict[str, str]:
     """Return the name that each component's FMU has in the package.
 
-    Each component has a file of its own, which can have start values of its own.
+    Each component has a file of its own, which can have start values of its own. One from a package has its component
+    in its name already.
     """
     names = FileNames()
-    return {name: f"resources/{names.new(f'{name}_{fmu.stem}', '.fmu')}" for name, fmu in fmus.items()}
+    stems = {name: fmu.stem.removeprefix(f"{plain(name)}_") for name, fmu in fmus.items()}
+    return {name: f"resources/{names.new(f'{name}_{stem}', '.fmu')}" for name, stem in stems.items()}
 
 
 class _Writer:
