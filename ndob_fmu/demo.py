@@ -86,7 +86,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
     shown, peaking = verdict(recording), start_up(pi_ramp_time=0.0)
     everyday = start_up(method=_SAMPLED_DATA)
     summary = {
-        **describe(system, recording, overrides.get("start_values")),
+        **describe(system, recording, overrides),
         "method": "paper",
         **shown.to_dict(),
         "peak_estimate_without_schedule": float(np.abs(peaking.estimate).max()),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,8 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.results import Recording, atomic_path
 
 Array = NDArray[np.float64]
+# How far a logarithmic axis reaches from the typical value, at most.
+_DECADES_BELOW, _DECADES_ABOVE = 4, 8
 _STYLE: Any = {
     "font.size": 10,
     "axes.grid": True,
@@ -132,8 +135,27 @@ def _draw(rows: Iterable[Axes], panels: Mapping[tuple[str, str], Sequence[str]],
     axes.set_xlabel("time [s]")
 
 
+def decades(values: Array) -> tuple[float, float] | None:
+    """Return the range of a logarithmic axis, as exponents of ten, around the typical value; None if there is none.
+
+    It reaches up to the largest value unless that is out of all proportion, and down four decades: a start that is
+    exact by construction or a difference that happens to be 1e-16 does not set the scale.
+    """
+    known = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if not len(known):
+        return None
+    typical = math.log10(float(np.median(known)))
+    low = max(math.log10(float(known.min())), typical - _DECADES_BELOW)
+    high = min(math.log10(float(known.max())), typical + _DECADES_ABOVE)
+    return math.floor(low), max(math.ceil(high), math.floor(low) + 1)
+
+
 def _log_magnitude(axes: Axes, time: Array, value: Array, color: str = "C0") -> None:
-    axes.semilogy(time, np.maximum(np.abs(value), 1e-12), color=color)
+    size = np.abs(value)
+    axes.semilogy(time, np.where(size > 0.0, size, np.nan), color=color)
+    limits = decades(value)
+    if limits is not None:
+        axes.set_ylim(10.0 ** limits[0], 10.0 ** limits[1])
 
 
 @contextmanager

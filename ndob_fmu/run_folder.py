@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ndob_fmu import plots
 from ndob_fmu.cosim import Recording, System, Value, open_system, simulate
+from ndob_fmu.cosim.inputs import read_inputs
 from ndob_fmu.cosim.picture import write_picture
 from ndob_fmu.cosim.system import Port
 from ndob_fmu.cosim.values import convert
@@ -32,15 +36,26 @@ def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recordin
             raise
         recording, failure = error.recording, error
     wall_time = time.perf_counter() - began
-    summary = describe(system, recording, settings.get("start_values"))
+    summary = describe(system, recording, settings)
     how = {"failed": failure and str(failure), "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time}
     with atomic_folder(folder) as new:
-        write_run(new, recording, {**summary, **how})
+        inputs = None if settings.get("input_file") is None else _inputs(system, recording, settings)
+        write_run(new, recording, {**summary, **how}, inputs)
         plots.plot_signals(new / "signals.png", recording)
         draw(new, system)
     if failure is not None:
         raise failure
     return recording
+
+
+def _inputs(system: System | str | Path, recording: Recording, settings: Mapping[str, Any]) -> Recording:
+    """Return what the inputs from the file had at each row of the recording."""
+    with open_system(system, settings.get("step_size")) as (opened, _):
+        table = read_inputs(settings["input_file"], opened)
+    # A row of the file holds from its time on, which the file's decimals may miss by their rounding.
+    slack = 1e-6 * float(recording.time[1] - recording.time[0])
+    rows = np.searchsorted(table.time, recording.time + slack, side="right") - 1
+    return Recording(recording.time, tuple(map(str, table.ports)), table.values[rows])
 
 
 def draw(folder: Path, system: System | str | Path) -> None:
@@ -49,23 +64,33 @@ def draw(folder: Path, system: System | str | Path) -> None:
         write_picture(folder / SYSTEM_PICTURE, opened, "" if isinstance(system, System) else Path(system).name)
 
 
-def describe(
-    system: System | str | Path, recording: Recording, start_values: Mapping[str, Value] | None
-) -> dict[str, Any]:
-    """Return what summary.json says of how a recording came about.
+def describe(system: System | str | Path, recording: Recording, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what summary.json says of how a recording came about with these settings of `simulate`.
 
-    parameters: ``component.variable`` → value of every parameter, and of every other variable that a start value was
-    given for. units: of signals and parameters, where there are any. stop_time: of the last row.
-    ended_early: what ended the run before its stop time, None if nothing did.
+    output_interval: only where rows are further apart than steps. connections: input → [output, factor, offset].
+    step_ratios, order: only where there are any. parameters: ``component.variable`` → value of every parameter, and of
+    every other variable that a start value was given for. units: of signals, inputs and parameters that have one.
+    stop_time: of the last row. ended_early: what ended the run before its stop time, None if nothing did.
     """
-    with open_system(system) as (opened, _):
-        parameters = _parameters(opened, start_values or {})
-        units = {name: opened.variable(opened.port(name)).unit for name in parameters}
+    interval = float(recording.time[1] - recording.time[0]) if len(recording.time) > 1 else None
+    with open_system(system, settings.get("step_size")) as (opened, experiment):
+        parameters = _parameters(opened, settings.get("start_values") or {})
+        connections = {str(c.target): [str(c.source), c.factor, c.offset] for c in opened.connections}
+        units = {name: opened.variable(opened.port(name)).unit for name in [*parameters, *connections]}
+        step = settings.get("step_size") or experiment.step_size or interval
+        order = settings.get("order") or opened.components
+        coupling = {
+            "output_interval": interval if interval and not math.isclose(step or 0.0, interval, rel_tol=1e-6) else None,
+            "order": list(order) if settings.get("scheme") == "gauss-seidel" else None,
+            "step_ratios": dict(opened.step_ratios),
+        }
     return {
         "system": "" if isinstance(system, System) else Path(system).name,
-        "step_size": float(recording.time[1] - recording.time[0]) if len(recording.time) > 1 else None,
+        "step_size": step,
         "stop_time": float(recording.time[-1]),
         "ended_early": recording.ended_early or None,
+        **{name: value for name, value in coupling.items() if value},
+        "connections": connections,
         "parameters": parameters,
         "units": {**recording.units, **{name: unit for name, unit in units.items() if unit}},
         "versions": software_versions(),

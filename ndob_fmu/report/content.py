@@ -19,13 +19,24 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Section:
+    """Figures, each with a caption, under a heading."""
+
+    title: str
+    figures: list[tuple[str, go.Figure]]
+
+
+@dataclass(frozen=True)
 class Content:
-    """What a page shows: a title, one sentence, figures each with a caption, and tables before and after them."""
+    """What a page shows: a title, one sentence, the section that answers the reader's question first, a summary, the
+    other sections, and tables.
+    """
 
     title: str
     lead: str
+    first: Section
     summary: Table
-    figures: list[tuple[str, go.Figure]]
+    sections: list[Section]
     tables: list[Table] = field(default_factory=list)
 
 

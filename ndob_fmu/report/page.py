@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+from itertools import count
 from pathlib import Path
 
+import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
@@ -64,10 +66,16 @@ def _render(content: Content, picture: str) -> str:
     environment = Environment(
         loader=PackageLoader("ndob_fmu.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    plots = [
-        (caption, figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"plot-{k}", config=_CONFIGURATION))
-        for k, (caption, figure) in enumerate(content.figures)
-    ]
-    return environment.get_template("page.html.jinja").render(
-        content=content, picture=picture, plots=plots, plotly=get_plotlyjs()
+    number = count()
+    first, *others = (
+        (section.title, [(caption, _drawn(figure, next(number))) for caption, figure in section.figures])
+        for section in (content.first, *content.sections)
     )
+    return environment.get_template("page.html.jinja").render(
+        content=content, picture=picture, first=first, others=others, plotly=get_plotlyjs()
+    )
+
+
+def _drawn(figure: go.Figure, number: int) -> str:
+    text: str = figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"plot-{number}", config=_CONFIGURATION)
+    return text

@@ -1,4 +1,4 @@
-"""The report of one run: estimates beside the truth, every signal, and how the run came about."""
+"""The report of one run: estimates with their error bars on top, then what they rest on, and how the run came about."""
 
 from __future__ import annotations
 
@@ -6,36 +6,34 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from ndob_fmu.report.content import Content, Table, pretty, text
-from ndob_fmu.report.signals import estimates, thinned
-from ndob_fmu.results import Recording
-from ndob_fmu.run_files import read_run
-
-LAYOUT: dict[str, Any] = {
-    "template": "plotly_white",
-    "margin": {"l": 70, "r": 20, "t": 30, "b": 50},
-    "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
-    "hovermode": "x unified",
-}
+from ndob_fmu.report.content import Content, Section, Table, text
+from ndob_fmu.report.lines import Panels
+from ndob_fmu.report.observers import disturbance_figures, input_figures, output_figures, state_figures
+from ndob_fmu.report.record import Record, read_record
+from ndob_fmu.report.signals import usual_range
 
 
 def run_content(folder: Path) -> Content:
     """Return the report of the run whose result.csv, and summary.json if there is one, lie in ``folder``."""
-    recording, summary = read_run(folder)
-    units = {name: pretty(unit) for name, unit in summary.get("units", {}).items()}
+    record = read_record(folder)
+    recording, summary, units = record.recording, record.summary, record.units
     span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
     system = summary.get("system") or folder.name
     return Content(
         title=f"Simulation of {system}",
         lead=f"{len(recording.names)} signals in {len(recording.time)} rows from {span}; all of them in result.csv.",
+        first=Section("Estimated disturbances", [*disturbance_figures(record)]),
         summary=Table(
             "Summary", [*_flat({k: v for k, v in summary.items() if k not in _SEPARATE})] or [("rows", span)]
         ),
-        figures=[*_pairs(recording, units), *_everything(recording, units)],
+        sections=[
+            Section("Inputs", [*input_figures(record)]),
+            Section("Measured outputs and residuals", [*output_figures(record)]),
+            Section("Estimated states", [*state_figures(record)]),
+            Section("All signals", [*_everything(record)]),
+        ],
         tables=[
             Table(
                 "Parameters",
@@ -47,8 +45,8 @@ def run_content(folder: Path) -> Content:
     )
 
 
-_SECONDS = ("step_size", "start_time", "stop_time", "wall_time", "settling_time")
-_SEPARATE = ("parameters", "units", "versions", "system")
+_SECONDS = ("step_size", "output_interval", "start_time", "stop_time", "wall_time", "settling_time")
+_SEPARATE = ("parameters", "units", "versions", "system", "connections")
 
 
 def _flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -57,43 +55,22 @@ def _flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
             yield from _flat(value, f"{prefix}{name.replace('_', ' ')}: ")
         else:
             label = f"{prefix}{name.replace('_', ' ')}"
-            yield f"{label} [s]" if name.startswith(_SECONDS) else label, text(value)
+            shown = ", ".join(map(text, value)) if isinstance(value, list) else text(value)
+            yield f"{label} [s]" if name.startswith(_SECONDS) else label, shown
 
 
-def _pairs(recording: Recording, units: Mapping[str, str]) -> Iterator[tuple[str, go.Figure]]:
-    pairs = estimates(recording.names)
-    # What the observer is for comes first.
-    for truth, estimate in sorted(pairs, key=lambda pair: not pair[0].endswith("_total")):
-        figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
-        true, estimated = recording[truth], recording[estimate]
-        figure.add_trace(_line(recording.time, true, truth, "#444", dash="dash"), row=1, col=1)
-        figure.add_trace(_line(recording.time, estimated, estimate, "#1f77b4"), row=1, col=1)
-        error = np.maximum(np.abs(estimated - true), 1e-16)
-        figure.add_trace(_line(recording.time, error, "|difference|", "#d62728"), row=2, col=1)
-        figure.update_layout(LAYOUT, height=480)
-        unit = units.get(truth, "")
-        figure.update_yaxes(title_text=f"{truth.partition('.')[2]} [{unit or '1'}]", row=1, col=1)
-        figure.update_yaxes(
-            title_text=f"|difference| [{unit or '1'}]", type="log", exponentformat="power", row=2, col=1
-        )
-        figure.update_xaxes(title_text="time [s]", row=2, col=1)
-        yield f"{estimate} and {truth} over time, and the difference between them.", figure
-
-
-def _everything(recording: Recording, units: Mapping[str, str]) -> Iterator[tuple[str, go.Figure]]:
-    panels: dict[tuple[str, str], list[str]] = {}
-    for name in recording.names:
-        panels.setdefault((name.partition(".")[0], units.get(name, "")), []).append(name)
-    for (component, unit), names in panels.items():
-        figure = go.Figure([_line(recording.time, recording[name], name) for name in names])
-        figure.update_layout(LAYOUT, height=320, showlegend=True)
-        figure.update_yaxes(title_text=f"{component} [{unit or '1'}]")
-        figure.update_xaxes(title_text="time [s]")
-        yield f"{component}: {', '.join(name.removeprefix(f'{component}.') for name in names)}.", figure
-
-
-def _line(time: Any, values: Any, name: str, color: str | None = None, dash: str | None = None) -> go.Scatter:
-    rows = thinned(values)
-    # Single precision is more than a screen shows, and half the file.
-    x, y = time[rows].astype(np.float32), values[rows].astype(np.float32)
-    return go.Scatter(x=x, y=y, name=name, mode="lines", line={"color": color, "dash": dash})
+def _everything(record: Record) -> Iterator[tuple[str, go.Figure]]:
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in record.recording.names:
+        groups.setdefault((name.partition(".")[0], record.units.get(name, "")), []).append(name)
+    for (component, unit), names in groups.items():
+        panels = Panels([1.0])
+        signals = [record.recording[name] for name in names]
+        for name, signal in zip(names, signals, strict=True):
+            panels.line(1, record.time, signal, name)
+        panels.figure.update_layout(showlegend=True)
+        limits = usual_range(*signals)
+        panels.axis(1, f"{component} [{unit or '1'}]", limits)
+        listed = ", ".join(name.removeprefix(f"{component}.") for name in names)
+        cut = " The axis shows the usual range; double-click on the plot shows all." if limits else ""
+        yield f"{component}: {listed}.{cut}", panels.figure

@@ -1,4 +1,4 @@
-"""Signals over time, thinned for a page without losing what sticks out, and which of them belong together."""
+"""Signals over time, thinned for a page without losing what sticks out, and the range of an axis that shows them."""
 
 from __future__ import annotations
 
@@ -10,26 +10,67 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _MOST_POINTS = 2000
+_MOST_SPANS = 200
 _ESTIMATE = "_hat"
 _TRUTHS = ("{}_total", "{}")
+# An axis shows all values where they reach no further than this many times the range of the usual ones.
+_FAR = 2.5
 
 
 def thinned(values: Array, most: int = _MOST_POINTS) -> NDArray[np.intp]:
     """Return which rows of (rows,) to draw: all, or of each of equal stretches the least and the largest value.
 
-    The first and the last row are always among them.
+    The first and the last row are always among them, and of each stretch with values that are not finite one such
+    row: a gap in the signal stays a gap in the line.
     """
     rows = len(values)
     if rows <= most:
         return np.arange(rows)
     edges = np.linspace(0, rows, most // 2 + 1).astype(int)
     kept = {0, rows - 1}
-    known = values[np.isfinite(values)]
-    finite = np.where(np.isfinite(values), values, known[0] if len(known) else 0.0)
+    usable = np.isfinite(values)
     for first, end in pairwise(edges):
-        stretch = finite[first:end]
-        kept |= {int(first + stretch.argmin()), int(first + stretch.argmax())}
+        here = usable[first:end]
+        if here.any():
+            stretch = values[first:end]
+            kept.add(int(first + np.where(here, stretch, np.inf).argmin()))
+            kept.add(int(first + np.where(here, stretch, -np.inf).argmax()))
+        if not here.all():
+            kept.add(int(first + here.argmin()))
     return np.array(sorted(kept))
+
+
+def spans(time: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return from when to when (s) a flag holds, (rows,), where row k tells of the step that ends at ``time[k]``.
+
+    At most 200: of more, those are joined that lie closest together.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(int)))
+    found = [(float(time[max(a - 1, 0)]), float(time[b - 1])) for a, b in edges.reshape(-1, 2)]
+    if len(found) > _MOST_SPANS:
+        gaps = np.array([later[0] - earlier[1] for earlier, later in pairwise(found)])
+        kept = np.sort(np.argsort(-gaps, kind="stable")[: _MOST_SPANS - 1])
+        starts = [found[0][0], *(found[k + 1][0] for k in kept)]
+        found = list(zip(starts, [*(found[k][1] for k in kept), found[-1][1]], strict=True))
+    return found
+
+
+def usual_range(*signals: Array, usual: NDArray[np.bool_] | None = None) -> tuple[float, float] | None:
+    """Return the range of an axis for the usual values of signals, None where that of all their values shows them.
+
+    A peak of a few rows, as at the start, otherwise makes a line of all the rest. usual (rows,): None means all rows.
+    """
+    known = [signal[np.isfinite(signal)] for signal in signals]
+    looked_at = known if usual is None else [signal[np.isfinite(signal) & usual] for signal in signals]
+    looked_at = [signal for signal in looked_at if len(signal)]
+    if not looked_at:
+        return None
+    low, high = (pick(np.quantile(signal, q) for signal in looked_at) for pick, q in ((min, 0.01), (max, 0.99)))
+    least, most = (pick([pick(signal) for signal in known if len(signal)]) for pick in (np.min, np.max))
+    if most - least <= _FAR * (high - low) or high == low:
+        return None
+    margin = 0.25 * (high - low)
+    return float(low - margin), float(high + margin)
 
 
 def estimates(names: Sequence[str]) -> list[tuple[str, str]]:

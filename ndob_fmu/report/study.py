@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from ndob_fmu.report.content import Content, Table, pretty, text
-from ndob_fmu.report.run import LAYOUT
+from ndob_fmu.report.content import Content, Section, Table, pretty, text
+from ndob_fmu.report.lines import LAYOUT
 from ndob_fmu.results import read_sealed_json
 from ndob_fmu.study.columns import RUN
-from ndob_fmu.study.figures import Axis, axes_of, cell_medians, named
+from ndob_fmu.study.figures import Axis, axes_of, cell_medians, named, pairs_of, parameters_of, point_medians
 from ndob_fmu.study.plan import read_plan
 from ndob_fmu.study.store import column, read_runs
 from ndob_fmu.study.summary import statistics
@@ -28,25 +28,27 @@ def study_content(folder: Path) -> Content:
     plan, table = read_plan(folder), read_runs(folder)
     units = {name: pretty(unit) for name, unit in plan["units"].items()}
     found = statistics(table, plan)
-    parameters = [axis for axis in axes_of(table, list(plan["varied"])) if len(np.unique(axis.values)) > 1]
+    parameters = parameters_of(plan, table)
     measures = [axis for axis in axes_of(table, list(plan["measures"])) if np.isfinite(axis.values).any()]
-    figures: list[tuple[str, go.Figure]] = []
-    if parameters and measures:
-        figures.append(_parallel(parameters, measures, units))
-        if len(parameters) > 1:
-            figures += [_heat_map(parameters, measure, units) for measure in measures]
-        figures += [_scatter(parameters, measure, column(table, RUN), units) for measure in measures]
+    drawn = measures if parameters else []
+    runs = column(table, RUN)
     made = _summary(folder)
     return Content(
         title=f"Study {plan['name']} of {plan['system']}",
         lead=f"{found['finished']} of {plan['runs']} runs finished, {found['failed']} of them failed; "
         "each is a row of runs.csv.",
+        first=Section("All runs", [_parallel(parameters, measures, units)] if drawn else []),
         summary=Table(
             "Measures",
             [*_statistics(found["measures"], units)],
             ("measure", "min", "in run", "median", "max", "in run", "finite in"),
         ),
-        figures=figures,
+        sections=[
+            Section(
+                "Two parameters", [_two_parameters(parameters, one, units) for one in drawn if len(parameters) > 1]
+            ),
+            Section("One parameter", [_scatter(parameters, one, runs, units) for one in drawn]),
+        ],
         tables=[
             *_best(table, plan, measures, units),
             Table("Failures", [(reason, str(count)) for reason, count in found["reasons"].items()], ("reason", "runs")),
@@ -119,40 +121,102 @@ def _parallel(parameters: Sequence[Axis], measures: Sequence[Axis], units: dict[
     return f"Each line is a run ({shown}); drag along an axis to select, drag an axis to move it.", figure
 
 
-def _heat_map(parameters: Sequence[Axis], measure: Axis, units: dict[str, str]) -> tuple[str, go.Figure]:
-    pairs = [(x, y) for k, x in enumerate(parameters) for y in parameters[k + 1 :]]
-    figure, buttons = go.Figure(), []
+def _two_parameters(parameters: Sequence[Axis], measure: Axis, units: dict[str, str]) -> tuple[str, go.Figure]:
+    """Show a measure as colour over two parameters: in cells, or as points where every run has a value of its own."""
+    pairs = pairs_of(parameters)
+    figure = go.Figure()
+    layouts: list[dict[str, Any]] = []
     for k, (x, y) in enumerate(pairs):
-        cells, columns, rows = cell_medians(x, y, measure)
-        values, bar = _colors(Axis(measure.name, cells), units)
-        figure.add_heatmap(
-            z=values,
-            x=columns,
-            y=rows,
-            customdata=cells,
-            hovertemplate="%{x}<br>%{y}<br>median %{customdata:.4g}<extra></extra>",
-            colorscale="Viridis",
-            colorbar=bar,
-            visible=k == 0,
-        )
-        titles = {"xaxis.title.text": named(x, units), "yaxis.title.text": named(y, units)}
-        shown = {"visible": [other == k for other in range(len(pairs))]}
-        buttons.append({"label": f"{x.name} × {y.name}", "method": "update", "args": [shown, titles]})
-    figure.update_layout(LAYOUT, height=430, xaxis_type="category", yaxis_type="category", hovermode="closest")
-    figure.update_layout(
-        xaxis_title_text=named(pairs[0][0], units), yaxis_title_text=named(pairs[0][1], units), margin={"t": 60}
-    )
+        before = len(figure.data)
+        add = _add_points if x.drawn or y.drawn else _add_cells
+        words = add(figure, x, y, measure, units)
+        for trace in figure.data[before:]:
+            trace.update(visible=k == 0, meta=k)
+        layouts.append(_axis_of("xaxis", x, units, words) | _axis_of("yaxis", y, units, words))
+    owners = [trace.meta for trace in figure.data]
+    buttons = [
+        {
+            "label": f"{x.name} × {y.name}",
+            "method": "update",
+            "args": [{"visible": [owner == k for owner in owners]}, layouts[k]],
+        }
+        for k, (x, y) in enumerate(pairs)
+    ]
+    figure.update_layout(LAYOUT, height=450, hovermode="closest", showlegend=False, margin={"t": 60})
+    figure.update_layout({key.replace(".", "_"): value for key, value in layouts[0].items()})
     if len(pairs) > 1:
         figure.update_layout(updatemenus=[{"buttons": buttons, "x": 0, "y": 1.18, "xanchor": "left"}])
-    return f"Median of {measure.name} over two parameters; the list chooses which.", figure
+    caption = [f"Median of {measure.name} over two parameters{'; the list chooses which' if len(pairs) > 1 else ''}."]
+    if any(axis.drawn for axis in parameters):
+        caption.append("A drawn parameter has points in place of cells, a cross where no run has a value.")
+    return " ".join(caption), figure
+
+
+def _add_cells(figure: go.Figure, x: Axis, y: Axis, measure: Axis, units: dict[str, str]) -> bool:
+    """Add a heat map and return that its axes have words for numbers, too."""
+    cells, columns, rows = cell_medians(x, y, measure)
+    values, bar = _colors(Axis(measure.name, cells), units)
+    figure.add_heatmap(
+        z=values,
+        x=columns,
+        y=rows,
+        customdata=cells,
+        hovertemplate="%{x}<br>%{y}<br>median %{customdata:.4g}<extra></extra>",
+        colorscale="Viridis",
+        colorbar=bar,
+    )
+    return True
+
+
+def _add_points(figure: go.Figure, x: Axis, y: Axis, measure: Axis, units: dict[str, str]) -> bool:
+    """Add a point for each run, a cross where the measure has no value, and return that numbers are numbers."""
+    across, up, medians = point_medians(x, y, measure)
+    values, bar = _colors(Axis(measure.name, medians), units)
+    known = np.isfinite(medians)
+    places = [_as_shown(x, across), _as_shown(y, up)]
+    size = float(np.clip(400.0 / np.sqrt(len(known)), 4.0, 11.0))
+    marker = {"color": values[known], "colorscale": "Viridis", "colorbar": bar, "size": size}
+    marker |= {"line": {"width": 0.5, "color": "#444"}}
+    texts = [f"{measure.name} {value:.4g}" for value in medians[known]]
+    _points(figure, x=places[0][known], y=places[1][known], mode="markers", marker=marker, text=texts)
+    if not known.all():
+        missing = {"symbol": "x", "color": "#888", "size": size}
+        no_value = {"mode": "markers", "marker": missing, "text": f"no {measure.name}"}
+        _points(figure, x=places[0][~known], y=places[1][~known], **no_value)
+    return False
+
+
+def _points(figure: go.Figure, **scatter: Any) -> None:
+    """Add points, more of them than a browser draws one by one through its graphics card."""
+    add = figure.add_scattergl if len(scatter["x"]) > _MOST_LINES else figure.add_scatter
+    add(**scatter)
+
+
+def _as_shown(axis: Axis, values: Any) -> Any:
+    return np.array(axis.words)[values.astype(int)] if axis.words else values
+
+
+def _axis_of(which: str, axis: Axis, units: dict[str, str], words: bool = False) -> dict[str, Any]:
+    """Return what makes the axis ``which`` of a layout that of a parameter or measure; words: of cells."""
+    kind = "category" if axis.words or words else "log" if axis.log else "linear"
+    decades = np.ptp(np.log10(axis.values[np.isfinite(axis.values)])) if kind == "log" else 0.0
+    entries = {
+        "title.text": named(axis, units),
+        "type": kind,
+        "autorange": True,
+        "exponentformat": "power",
+        "dtick": None if kind != "log" else 1 if decades > 1.5 else "D2",
+    }
+    return {f"{which}.{name}": value for name, value in entries.items()}
 
 
 def _scatter(parameters: Sequence[Axis], measure: Axis, runs: Any, units: dict[str, str]) -> tuple[str, go.Figure]:
     figure, buttons = go.Figure(), []
-    kinds = ["category" if axis.words else "log" if axis.log else "linear" for axis in parameters]
+    parameters = sorted(parameters, key=lambda axis: not axis.drawn)
     for k, axis in enumerate(parameters):
-        x = [axis.label(value) for value in axis.values] if axis.words else axis.values
-        figure.add_scatter(
+        x = _as_shown(axis, axis.values)
+        _points(
+            figure,
             x=x,
             y=measure.values,
             mode="markers",
@@ -161,12 +225,10 @@ def _scatter(parameters: Sequence[Axis], measure: Axis, runs: Any, units: dict[s
             visible=k == 0,
         )
         shown = {"visible": [other == k for other in range(len(parameters))]}
-        layout = {"xaxis.title.text": named(axis, units), "xaxis.type": kinds[k], "xaxis.autorange": True}
+        layout = _axis_of("xaxis", axis, units)
         buttons.append({"label": axis.name, "method": "update", "args": [shown, layout]})
     figure.update_layout(LAYOUT, height=400, hovermode="closest", showlegend=False, margin={"t": 60})
-    figure.update_xaxes(title_text=named(parameters[0], units), type=kinds[0])
-    figure.update_yaxes(
-        title_text=named(measure, units), type="log" if measure.log else "linear", exponentformat="power"
-    )
+    shown_first = _axis_of("xaxis", parameters[0], units) | _axis_of("yaxis", measure, units)
+    figure.update_layout({key.replace(".", "_"): value for key, value in shown_first.items()})
     figure.update_layout(updatemenus=[{"buttons": buttons, "x": 0, "y": 1.18, "xanchor": "left"}])
     return f"{measure.name} of each run over a parameter; the list chooses which.", figure

@@ -1,9 +1,9 @@
-"""The figures of a study: a heat map over two parameters, and parallel coordinates over all of them."""
+"""The figures of a study: two parameters with a measure as colour, and parallel coordinates over all of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,15 @@ _LOG_FROM = 20.0  # the ratio of largest to smallest from which an axis of posit
 
 @dataclass(frozen=True)
 class Axis:
-    """One parameter or measure over the runs, (runs,): numbers as they are, words numbered by ``words``."""
+    """One parameter or measure over the runs, (runs,): numbers as they are, words numbered by ``words``.
+
+    drawn: by a Latin hypercube or at random, so that every run has a value of its own.
+    """
 
     name: str
     values: Array
     words: tuple[str, ...] = ()
+    drawn: bool = False
 
     @property
     def log(self) -> bool:
@@ -74,6 +78,13 @@ class Axis:
         return values, [float(tick) for tick in ticks], labels
 
 
+def parameters_of(plan: Mapping[str, Any], table: pa.Table) -> list[Axis]:
+    """Return the parameters that differ between the finished runs."""
+    axes = axes_of(table, list(plan["varied"]))
+    drawn = {name for name, how in plan["varied"].items() if isinstance(how, dict)}
+    return [replace(axis, drawn=axis.name in drawn) for axis in axes if len(np.unique(axis.values)) > 1]
+
+
 def axes_of(table: pa.Table, names: Sequence[str]) -> list[Axis]:
     """Return the named columns as axes."""
     return [_axis(name, column(table, name)) for name in names]
@@ -98,15 +109,36 @@ def cell_medians(x: Axis, y: Axis, z: Axis) -> tuple[Array, list[str], list[str]
     return cells, x_labels, y_labels
 
 
-def draw(folder: Path) -> list[Path]:
-    """Write heat_map.png and parallel_coordinates.png of a study's folder, and both as .svg; return the .png files.
+def point_medians(x: Axis, y: Axis, z: Axis) -> tuple[Array, Array, Array]:
+    """Return each point (x, y) of the runs once, (points,) both, and the median of z there, NaN where there is none.
 
-    Where nothing varies, or no measure has a value, there is none; one parameter makes no heat map. Raises UsageError
-    if there is no finished run or a file cannot be written.
+    Each point of a Latin hypercube comes again with each combination of a grid.
+    """
+    runs = np.column_stack([x.values, y.values])
+    places, owner, counts = np.unique(runs, axis=0, return_inverse=True, return_counts=True)
+    of_place = np.split(z.values[np.argsort(owner.ravel(), kind="stable")], np.cumsum(counts)[:-1])
+    known = [values[np.isfinite(values)] for values in of_place]
+    medians = np.array([np.median(values) if len(values) else np.nan for values in known])
+    return places[:, 0], places[:, 1], medians
+
+
+def pairs_of(parameters: Sequence[Axis]) -> list[tuple[Axis, Axis]]:
+    """Return all pairs of parameters, those that are drawn first: they have more than a few levels."""
+    pairs = [(x, y) for k, x in enumerate(parameters) for y in parameters[k + 1 :]]
+    return sorted(pairs, key=lambda pair: -(pair[0].drawn + pair[1].drawn))
+
+
+def draw(folder: Path) -> list[Path]:
+    """Write parallel_coordinates.png of a study's folder, and heat_map.png or scatter.png of two parameters,
+    all also as .svg; return the .png files.
+
+    A parameter that is drawn makes a scatter plot: cells of a heat map would hold a run or two each. Where nothing
+    varies, or no measure has a value, there is none. Raises UsageError if there is no finished run or a file cannot be
+    written.
     """
     plan, table = read_plan(folder), read_runs(folder)
     units = {name: unit.replace(".", "·") for name, unit in plan["units"].items()}
-    parameters = [axis for axis in axes_of(table, list(plan["varied"])) if len(np.unique(axis.values)) > 1]
+    parameters = parameters_of(plan, table)
     measures = axes_of(table, list(plan["measures"]))
     measures = [axis for axis in measures if np.isfinite(axis.values).any()]
     if not parameters or not measures:
@@ -114,8 +146,10 @@ def draw(folder: Path) -> list[Path]:
     paths = [folder / "parallel_coordinates.png"]
     _parallel_coordinates(paths[0], parameters, measures, units)
     if len(parameters) > 1:
-        paths.append(folder / "heat_map.png")
-        _heat_map(paths[1], parameters[0], parameters[1], measures[:4], units)
+        x, y = pairs_of(parameters)[0]
+        name, shown = ("scatter", _scatter) if x.drawn or y.drawn else ("heat_map", _heat_map)
+        paths.append(folder / f"{name}.png")
+        shown(paths[1], x, y, measures[:4], units)
     return paths
 
 
@@ -142,6 +176,28 @@ def _heat_map(path: Path, x: Axis, y: Axis, measures: Sequence[Axis], units: dic
             axes.set_xlabel(named(x, units))
             axes.set_ylabel(named(y, units))
             axes.set_title(f"median of {measure.name}")
+            axes.figure.colorbar(shown, ax=axes, label=named(measure, units))
+
+
+def _scatter(path: Path, x: Axis, y: Axis, measures: Sequence[Axis], units: dict[str, str]) -> None:
+    with plots.figure(path, 1, len(measures), height=3.8, width=max(7.0, 4.6 * len(measures))) as panels:
+        for axes, measure in zip(panels, measures, strict=True):
+            across, up, values = point_medians(x, y, measure)
+            known = np.isfinite(values)
+            axes.plot(across[~known], up[~known], "x", color="0.4", markersize=4, label="no value")
+            size = max(4.0, min(30.0, 6000.0 / len(across)))
+            norm = _norm(Axis(measure.name, values))
+            shown = axes.scatter(across[known], up[known], c=values[known], s=size, norm=norm, cmap="viridis")
+            for axis, turn, place in ((x, axes.set_xscale, axes.set_xticks), (y, axes.set_yscale, axes.set_yticks)):
+                if axis.log:
+                    turn("log")
+                if axis.words:
+                    place(range(len(axis.words)), axis.words)
+            axes.set_xlabel(named(x, units))
+            axes.set_ylabel(named(y, units))
+            axes.set_title(f"median of {measure.name}")
+            if not known.all():
+                axes.legend(loc="best", fontsize="x-small", frameon=True)
             axes.figure.colorbar(shown, ax=axes, label=named(measure, units))
 
 

@@ -96,8 +96,9 @@ class Target:
         self.run, self.other_run = folder / "run", folder / "other_run"
         for path, scale in ((self.run, 1.0), (self.other_run, 1.1)):
             path.mkdir()
-            write_run(path, _recording(scale), {"system": "s.ssp", "parameters": {"a.b": scale}, "wall_time": scale})
-        self.recording, self.summary = read_run(self.run)
+            summary = {"system": "s.ssp", "parameters": {"a.b": scale}, "wall_time": scale}
+            write_run(path, _recording(scale), summary, _recording(scale + 1.0))
+        self.recording, self.summary, self.inputs = read_run(self.run)
 
     def damage(self, attack: Callable[[Random, Path, Path], None], rng: Random, work: Path) -> None:
         for name, foreign in (("results", self.others), ("run", self.other_run)):
@@ -109,10 +110,10 @@ class Target:
         return "as written" if read_runs(work) == self.table and read_plan(work) == self.plan else "changed"
 
     def read_run(self, work: Path) -> str:
-        recording, summary = read_run(work)
-        same = recording.names == self.recording.names and summary == self.summary
-        same = same and np.array_equal(recording.time, self.recording.time)
-        return "as written" if same and np.array_equal(recording.columns, self.recording.columns) else "changed"
+        recording, summary, inputs = read_run(work)
+        same = summary == self.summary and inputs is not None
+        same = same and _equal(recording, self.recording) and _equal(inputs, self.inputs)
+        return "as written" if same else "changed"
 
     def go_on(self, work: Path) -> str:
         """Go on with the study, and compare its table with that of the sound one."""
@@ -146,6 +147,11 @@ def _finish(folder: Path, study: Study, rng: Random) -> None:
         rng.setstate(state)
         store.save(_rows(study, range(first, first + 4), rng))
     summarize(folder, Tally(len(study.points), 0, 1.0, 1))
+
+
+def _equal(one: Recording, other: Recording) -> bool:
+    arrays = (one.time, other.time), (one.columns, other.columns)
+    return one.names == other.names and all(np.array_equal(*pair) for pair in arrays)
 
 
 def _recording(scale: float) -> Recording:

@@ -1,0 +1,101 @@
+"""What a folder holds of a run: signals, inputs from a file, and how its components were coupled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.report.content import pretty
+from ndob_fmu.report.signals import estimates
+from ndob_fmu.results import Recording
+from ndob_fmu.run_files import read_run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run: `recording` of outputs; `inputs` by port from an input file; `summary` as it was written.
+
+    units: of signals and parameters, as people write them.
+    """
+
+    recording: Recording
+    inputs: Mapping[str, Array] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def time(self) -> Array:
+        """Time of the rows in s, (rows,)."""
+        return self.recording.time
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units by signal and parameter."""
+        return {name: pretty(unit) for name, unit in self.summary.get("units", {}).items()}
+
+    def get(self, name: str) -> Array | None:
+        """Return a recorded output (rows,), None if there is none of that name."""
+        return self.recording[name] if name in self.recording.names else None
+
+    def observers(self) -> dict[str, list[str]]:
+        """Return the disturbances that each observer estimates: what it gives both an estimate and an error bar of."""
+        found: dict[str, list[str]] = {}
+        for name in self.recording.names:
+            component, _, variable = name.partition(".")
+            of = variable.removesuffix("_hat")
+            if of != variable and f"{component}.{of}_std" in self.recording.names:
+                found.setdefault(component, []).append(of)
+        return found
+
+    def truth(self, estimate: str) -> str | None:
+        """Return the name of the signal that an estimate is of."""
+        return next((truth for truth, found in estimates(self.recording.names) if found == estimate), None)
+
+    def input(self, port: str) -> Array | None:
+        """Return what an input had at each row, (rows,): from the file, or from the output that drives it.
+
+        Where summary.json does not tell what drives it, the only other component's output of that name does.
+        """
+        if port in self.inputs:
+            return self.inputs[port]
+        connections = self.summary.get("connections", {})
+        if port in connections:
+            source, factor, offset = connections[port]
+            signal = self.get(source)
+            return None if signal is None else factor * signal + offset
+        component, _, variable = port.partition(".")
+        others = [
+            n for n in self.recording.names if n.partition(".")[2] == variable and not n.startswith(f"{component}.")
+        ]
+        return self.get(others[0]) if len(others) == 1 and not connections else None
+
+    def driven(self, component: str) -> list[str]:
+        """Return the inputs of a component that are known over time."""
+        ports = dict.fromkeys([*self.inputs, *self.summary.get("connections", {})])
+        return [port for port in ports if port.startswith(f"{component}.")]
+
+    def step_rows(self, component: str) -> int | None:
+        """Return how many rows a step of the component takes; None where there are steps without a row."""
+        if "output_interval" in self.summary:
+            return None
+        ratio: int = self.summary.get("step_ratios", {}).get(component, 1)
+        return ratio
+
+    def sees_end_of_step(self, port: str) -> bool:
+        """Whether an input has the value at the end of the step, from a component that has stepped before."""
+        order = self.summary.get("order", [])
+        source = self.summary.get("connections", {}).get(port, [""])[0].partition(".")[0]
+        component = port.partition(".")[0]
+        return source in order and component in order and order.index(source) < order.index(component)
+
+
+def read_record(folder: Path) -> Record:
+    """Return the run in ``folder``. Raises UsageError if a file cannot be read, or was changed since it was written."""
+    recording, summary, inputs = read_run(folder)
+    return Record(recording, {} if inputs is None else {name: inputs[name] for name in inputs.names}, summary)
