@@ -237,8 +237,14 @@ def test_units_of_the_model_description_are_checked(fmus, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "error", "parts"),
     [
-        ('fmiVersion="2.0"', 'fmiVersion="3.0"', CouplingError, ["FMI 2.0 co-simulation", "FMI 3.0"]),
-        ("CoSimulation", "ModelExchange", CouplingError, ["FMI 2.0 co-simulation", "model exchange only"]),
+        (
+            'fmiVersion="2.0"',
+            'fmiVersion="3.0"',
+            CouplingError,
+            ["FMI 2.0 co-simulation, received one for FMI 3.0"],
+        ),
+        ("CoSimulation", "ModelExchange", CouplingError, ["received one for FMI 2.0 model exchange"]),
+        ("CoSimulation", "Simulation", CouplingError, ["received one for FMI 2.0 without an interface"]),
         ("<ModelVariables>", "<ModelVariables", CouplingError, ["modelDescription.xml: expected well-formed XML"]),
         ("", None, CouplingError, ["without modelDescription.xml"]),
     ],
@@ -247,8 +253,33 @@ def test_what_is_no_co_simulation_fmu_is_refused_in_one_line(fmus, tmp_path, old
     path = changed(fmus / "MassSpring.fmu", tmp_path / "x.fmu", old, new)
     with pytest.raises(error) as refused:
         FmuComponent(path)
-    assert all(text in str(refused.value) for text in ["x.fmu", *parts]), str(refused.value)
+    assert all(text in str(refused.value) for text in ["component x: ", "x.fmu", *parts]), str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("description", "kind"),
+    [
+        ('<fmiModelDescription fmiVersion="1.0"/>', "FMI 1.0 model exchange"),
+        ('<fmiModelDescription fmiVersion="1.0"><Implementation/></fmiModelDescription>', "FMI 1.0 co-simulation"),
+        (
+            '<fmiModelDescription fmiVersion="3.0"><ModelExchange/><CoSimulation/></fmiModelDescription>',
+            "FMI 3.0 model exchange and co-simulation",
+        ),
+        (
+            '<fmiModelDescription fmiVersion="3.0"><ScheduledExecution/></fmiModelDescription>',
+            "FMI 3.0 scheduled execution",
+        ),
+        ("<project/>", "FMI of unknown version without an interface"),
+    ],
+)
+def test_an_fmu_of_another_kind_is_refused_by_the_name_of_its_component_with_what_it_is(tmp_path, description, kind):
+    with zipfile.ZipFile(tmp_path / "x.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+    with pytest.raises(CouplingError) as refused:
+        System().add("plant", tmp_path / "x.fmu")
+    said = f"component plant: {tmp_path / 'x.fmu'}: expected an FMU for FMI 2.0 co-simulation, received one for {kind}"
+    assert str(refused.value) == said
 
 
 def test_files_that_are_no_archives_or_not_there_or_reach_outside_are_refused(tmp_path):

@@ -216,6 +216,24 @@ def test_the_same_system_can_run_twice_with_the_same_result():
     np.testing.assert_array_equal(first.columns, second.columns)
 
 
+def test_a_run_that_ends_in_nan_says_which_signal_was_the_first_and_when(caplog):
+    def run(*lost):
+        """Run clocks that are NaN from one time to another, and return what is said."""
+        parts = {"d": constant(np.inf)}
+        for name, (begin, end) in zip("abc", lost, strict=False):
+            parts[name] = ramp()
+            parts[name].output = lambda x, u, b=begin, e=end: [np.nan if b <= x < e else x]
+        caplog.clear()
+        simulate(System(parts), stop_time=1.0, step_size=0.25)
+        return [record.getMessage().removeprefix("the run ends in NaN: ") for record in caplog.records]
+
+    assert run((0.25, 0.75)) == []  # samples that were lost on the way
+    lost = run((0.75, 9), (0.5, 9), (0.0, 0.5))
+    assert lost == ["b.y is the first, from t = 0.5 s on; 2 of 4 signals are NaN at the end"]
+    assert run((0.0, 9)) == ["a.y is the first, from t = 0 s on; 1 of 2 signals are NaN at the end"]
+    assert run((1.0, 9)) == ["a.y is the first, from t = 1 s on; 1 of 2 signals are NaN at the end"]
+
+
 def test_integers_and_booleans_keep_their_type_in_the_recording():
     outputs = [
         Variable("n", "output", "Integer"),

@@ -12,7 +12,7 @@ from ssp_text import bindings, changed, component, connections, description, ele
 from test_coupling_order import declared, unknowns
 
 from ndob_fmu.cli import main
-from ndob_fmu.cosim import System, check_ssp
+from ndob_fmu.cosim import System, check_ssp, simulate
 from ndob_fmu.cosim.picture import draw_system
 from ndob_fmu.errors import UsageError
 
@@ -146,6 +146,82 @@ def test_an_input_that_nothing_drives_is_a_warning_and_with_strict_a_failure(pac
     assert refused in capsys.readouterr().out
     assert main([*run, "--strict"]) == 2
     assert refused in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("Variant.ssd", description(SYSTEM).replace("</ssd:System>", "</ssd:Sytem>"), "expected well-formed XML"),
+        ("Variant.ssd", description(SYSTEM).replace("ssd:Elements>", "ssd:Parts>"), "a file that follows SSP 1.0"),
+        ("Variant.ssd", description(SYSTEM).replace('version="1.0"', 'version="2.0"'), "of version 1.x"),
+        ("other.ssv", "", "expected well-formed XML"),
+    ],
+)
+def test_a_broken_variant_that_is_not_used_is_a_warning_in_check_and_simulate(
+    package, capsys, caplog, name, content, said
+):
+    package()
+    with zipfile.ZipFile("test.ssp", "a") as archive:
+        archive.writestr(name, content)
+    assert main(["check", "test.ssp"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "test.ssp: all 6 checks pass, 1 with a warning"
+    words = f"{name} could not be used, but SystemStructure.ssd does not name it"
+    assert lines[2].split()[:2] == ["warn", "files"]
+    assert words in lines[2]
+    assert said in lines[2]
+    command = ["simulate", "test.ssp", "--stop-time", "1", "--step-size", "1"]
+    for more in ([], ["--results", "r"]):  # which opens the package several times
+        caplog.clear()
+        assert main([*command, *more]) == 0
+        (record,) = caplog.records
+        assert words in record.getMessage()
+        assert said in record.getMessage()
+        assert len(record.getMessage()) <= 300
+
+
+def test_a_variant_that_is_used_fails_in_check_and_simulate(package, capsys):
+    first = "<ssd:ParameterBindings>"
+    package((first, f'{first}<ssd:ParameterBinding source="other.ssv"/>'))
+    with zipfile.ZipFile("test.ssp", "a") as archive:
+        archive.writestr("other.ssv", "<nothing/>")
+    assert main(["check", "test.ssp"]) == 1
+    assert "FAIL  files" in capsys.readouterr().out
+    assert main(["simulate", "test.ssp", "--stop-time", "1", "--step-size", "1"]) == 2
+    assert "other.ssv: expected ParameterSet" in capsys.readouterr().err
+
+
+def test_a_damaged_entry_that_nothing_uses_is_a_warning(package, tmp_path):
+    package()
+    with zipfile.ZipFile("test.ssp", "a") as archive:
+        archive.writestr("notes.txt", "a note of some length, stored as it is")
+    data = (tmp_path / "test.ssp").read_bytes()
+    (tmp_path / "test.ssp").write_bytes(data.replace(b"a note of some length", b"a note of some lenght"))
+    report = check_ssp("test.ssp")
+    assert report.passed
+    assert [row.name for row in report.rows if row.warning] == ["archive"]
+    assert "notes.txt" in report.rows[0].found
+    simulate("test.ssp", stop_time=1.0, step_size=1.0)
+
+
+def test_an_output_of_the_system_that_nothing_drives_is_a_warning(package, capsys, caplog):
+    package(text=description(SYSTEM.replace(ports("u>[m] y<"), ports("u>[m] y< spare<"))))
+    assert main(["check", "test.ssp"]) == 0
+    assert "warn  connections      nothing drives spare at the boundary" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [["check"], ["simulate", "--stop-time", "1", "--step-size", "1"]])
+def test_a_component_of_another_kind_is_named_with_what_it_is(capsys, tmp_path, command):
+    with zipfile.ZipFile("x.fmu", "w") as archive:
+        text = '<fmiModelDescription fmiVersion="3.0"><CoSimulation/></fmiModelDescription>'
+        archive.writestr("modelDescription.xml", text)
+    with zipfile.ZipFile("test.ssp", "w") as archive:
+        archive.writestr("SystemStructure.ssd", description(elements(component("motor", source="resources/x.fmu"))))
+        archive.write("x.fmu", "resources/x.fmu")
+    assert main([command[0], "test.ssp", *command[1:]]) != 0
+    streams = capsys.readouterr()
+    said = "component motor: test.ssp, resources/x.fmu: expected an FMU for FMI 2.0 co-simulation, received one for FMI"
+    assert f"{said} 3.0 co-simulation" in streams.out + streams.err
 
 
 def test_what_is_no_package_is_refused(capsys, tmp_path):

@@ -40,7 +40,10 @@ class FmuComponent:
     def __init__(self, path: str | Path, name: str | None = None) -> None:
         self.path = Path(path)
         self.name = name or self.path.stem
-        self._description = read_description(self.path)
+        try:
+            self._description = read_description(self.path)
+        except NdobError as error:
+            raise type(error)(f"component {self.name}: {error}") from error
         self._types = {variable.name: variable.type for variable in self.variables}
         self._log = FmuLog(self.name)
         self._folder: Path | None = None

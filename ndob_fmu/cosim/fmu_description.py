@@ -14,7 +14,7 @@ from ndob_fmu.cosim.archive import open_archive
 from ndob_fmu.cosim.component import Variable
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.errors import CouplingError
+from ndob_fmu.errors import CouplingError, some_of
 from ndob_fmu.units import BASE_UNITS, BaseUnit
 
 
@@ -40,9 +40,9 @@ def read_description(path: Path) -> FmuDescription:
             raise CouplingError.report(str(path), expected=expected, received="an archive without modelDescription.xml")
         xml = archive.read_xml("modelDescription.xml")
     try:
-        version = ElementTree.fromstring(xml).get("fmiVersion")
-        if version != "2.0":
-            raise CouplingError.report(str(path), expected=expected, received=f"one for FMI {version}")
+        root = ElementTree.fromstring(xml)
+        if root.get("fmiVersion") != "2.0" or root.find("CoSimulation") is None:
+            raise CouplingError.report(str(path), expected=expected, received=f"one for {_kind(root)}")
         with path.open("rb") as file:  # given a path, fmpy leaves the file open when it fails
             # Not validated against the schema: common exporters fail it in ways that do not matter for a run.
             model = read_model_description(file, validate=False)
@@ -51,8 +51,6 @@ def read_description(path: Path) -> FmuDescription:
     except Exception as error:  # fmpy raises plain Exception, and whatever its parser stumbles over
         received = str(error).partition("\n")[0] or repr(error)
         raise CouplingError.report(str(path), expected="a readable modelDescription.xml", received=received) from error
-    if model.coSimulation is None:
-        raise CouplingError.report(str(path), expected=expected, received="one for model exchange only")
     return FmuDescription(
         model.guid,
         model.coSimulation.modelIdentifier,
@@ -60,6 +58,20 @@ def read_description(path: Path) -> FmuDescription:
         {entry.name: entry.valueReference for entry in model.modelVariables},
         _experiment(model.defaultExperiment, path),
     )
+
+
+def _kind(root: ElementTree.Element) -> str:
+    """Return what an FMU of another kind is for, as "FMI 3.0 model exchange and co-simulation"."""
+    version = root.get("fmiVersion", "of unknown version")
+    if version == "1.0":
+        return f"FMI 1.0 {'model exchange' if root.find('Implementation') is None else 'co-simulation'}"
+    interfaces = {
+        "ModelExchange": "model exchange",
+        "CoSimulation": "co-simulation",
+        "ScheduledExecution": "scheduled execution",
+    }
+    found = [words for tag, words in interfaces.items() if root.find(tag) is not None]
+    return f"FMI {version} {some_of(found, between=' and ')}" if found else f"FMI {version} without an interface"
 
 
 def _variables(model: Any, path: Path) -> tuple[Variable, ...]:

@@ -87,9 +87,23 @@ def simulate(
         except SimulationError as error:
             error.recording = error.recording and _with_outputs(opened, error.recording)
             raise
-        if found.ended_early:
-            _log.warning("%s", shortened(found.ended_early))
+        for text in (found.ended_early, _nan(found)):
+            if text:
+                _log.warning("%s", shortened(text))
         return _with_outputs(opened, found)
+
+
+def _nan(recording: Recording) -> str:
+    """Return a line about signals that are NaN at the end, and which of them was NaN first; empty if there are none."""
+    lost = np.flatnonzero(np.isnan(recording.columns[-1]))
+    if not lost.size:
+        return ""
+    known = ~np.isnan(recording.columns[::-1, lost])  # from the end to the start
+    rows = np.where(known.any(axis=0), known.argmax(axis=0), len(known))
+    first = int(rows.argmax())
+    name, time = recording.names[lost[first]], recording.time[len(known) - rows[first]]
+    many = f"{lost.size} of {len(recording.names)} signals are NaN at the end"
+    return f"the run ends in NaN: {name} is the first, from t = {time:.12g} s on; {many}"
 
 
 def _positive(tolerance: float | None) -> float | None:
@@ -119,6 +133,8 @@ def _with_outputs(system: System, recording: Recording) -> Recording:
 
 def warn(wiring: Wiring) -> None:
     """Log what a run of this system does that its author may not expect: one line for each kind."""
+    for text in wiring.system.warnings:
+        _log.warning("%s", shortened(text))
     if wiring.undriven:
         _log.warning("%s", keep_start_values(wiring.undriven))
     for loop in algebraic_loops(wiring.system, initial=False):

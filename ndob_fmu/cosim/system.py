@@ -63,7 +63,7 @@ class System:
     (component, variable) → value; that of a connected input is its value before the first exchange. step_ratios:
     component → k for those that step over k communication steps at a time. inputs: names at the system's boundary → the
     inputs and parameters that a start value or a column of the input file of that name sets; outputs: further names
-    that outputs are recorded under.
+    that outputs are recorded under. warnings: what a run is to say of how the system was described.
 
     ``add``, ``connect`` and ``expose`` extend the system in place and return it, so that the calls can also be chained.
     A call that raises leaves the system as it was. ``copy.copy`` makes an independent variant, ``write`` a package:
@@ -81,6 +81,7 @@ class System:
     step_ratios: Mapping[str, int] = field(default_factory=dict)
     inputs: Mapping[str, tuple[Link, ...]] = field(default_factory=dict)
     outputs: Mapping[str, Link] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     _variables: dict[str, dict[str, Variable]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
 from ndob_fmu.cosim.system import System
 from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs, without_driver
-from ndob_fmu.errors import NdobError, UsageError, some_of
+from ndob_fmu.errors import CouplingError, NdobError, UsageError, some_of
 
 _Found = TypeVar("_Found")
 _MARKS = {True: "ok  ", False: "FAIL", None: "    "}
@@ -118,17 +118,19 @@ class _Checks:
 
 def _archive(path: Path) -> tuple[bool, str]:
     with open_archive(path) as archive:
-        archive.test()
+        try:
+            archive.test()
+        except CouplingError as error:  # fails where the system needs the entry, and is no matter where it does not
+            return True, _Warning(str(error))
         return True, f"{len(archive.namelist())} entries, none outside its folder"
 
 
 def _system(checks: _Checks, package: Package, archive: Archive, folder: str, strict: bool) -> System | None:
     def schemas() -> tuple[Any, str]:
         root = package.description()
-        names = [name for name in archive.namelist() if Path(name).suffix in ROOTS_BY_SUFFIX]
-        for name in names:
-            package.file(name, ROOTS_BY_SUFFIX[Path(name).suffix])
-        return root, f"{len(names)} files that follow SSP 1.0"
+        unused = package.check_files(root)
+        count = sum(Path(name).suffix in ROOTS_BY_SUFFIX for name in archive.namelist())
+        return root, _Warning("; ".join(unused)) if unused else f"{count} files that follow SSP 1.0"
 
     root = checks.run("files", schemas)
     parts = checks.run("components", lambda: _with(read_components(package, root, archive, folder)))
@@ -139,6 +141,8 @@ def _system(checks: _Checks, package: Package, archive: Archive, folder: str, st
         system = read_system(package, root, parts, step_size)
         scaled = sum((c.factor, c.offset) != (1.0, 0.0) for c in system.connections)
         ends = f", {len(system.inputs)} inputs and {len(system.outputs)} outputs at the boundary"
+        if system.warnings:
+            return system, _Warning("; ".join(system.warnings))
         return system, f"{len(system.connections)} connections, {scaled} of them scaled or converted{ends}"
 
     system = checks.run("connections", connected)

@@ -18,12 +18,12 @@ from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.fmu import FmuComponent
 from ndob_fmu.cosim.ssp.experiment import read_experiment, read_step_ratios
 from ndob_fmu.cosim.ssp.parameters import start_values
-from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element, child, local_name, parse
+from ndob_fmu.cosim.ssp.schema import NAMESPACES, ROOTS_BY_SUFFIX, SSD_NAME, Element, child, local_name, parse
 from ndob_fmu.cosim.ssp.structure import Structure, components, read_structure
 from ndob_fmu.cosim.ssp.support import check_supported
 from ndob_fmu.cosim.ssp.units import Units, read_units
 from ndob_fmu.cosim.system import Port, System
-from ndob_fmu.errors import CouplingError, some_of
+from ndob_fmu.errors import CouplingError, NdobError, some_of
 
 
 @contextmanager
@@ -41,8 +41,10 @@ def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple
         package = Package(path, archive)
         root = package.description()
         experiment = read_experiment(package.where, root)
+        unused = package.check_files(root)
         parts = read_components(package, root, archive, folder)
-        yield read_system(package, root, parts, experiment.step_size if step_size is None else step_size), experiment
+        system = read_system(package, root, parts, experiment.step_size if step_size is None else step_size)
+        yield replace(system, warnings=(*unused, *system.warnings)), experiment
 
 
 class Package:
@@ -83,6 +85,25 @@ class Package:
             )
         return inside[0]
 
+    def check_files(self, root: Element) -> list[str]:
+        """Check the files that the description names; return a warning where others, as variants, could not be used.
+
+        Raises CouplingError for a file that the description names and that cannot be used.
+        """
+        for kind in ("ParameterBinding", "ParameterMapping", "SignalDictionary"):
+            for element in root.iter(f"{{{NAMESPACES['ssd']}}}{kind}"):
+                self.source(element)
+        faults: dict[str, str] = {}
+        for name in self._archive.namelist():
+            if Path(name).suffix in ROOTS_BY_SUFFIX and name not in self._parsed:
+                try:
+                    self.file(name, ROOTS_BY_SUFFIX[Path(name).suffix])
+                except CouplingError as error:
+                    faults[name] = str(error).removeprefix(f"{self.path}, {name}: ")
+        if not faults:
+            return []
+        return [f"{some_of(faults)} could not be used, but {SSD_NAME} does not name it: {next(iter(faults.values()))}"]
+
     def entry(self, where: str, uri: str) -> str:
         """Return the name of the package's file that a URI means, which is relative to the description."""
         parts = urlsplit(uri)
@@ -112,7 +133,10 @@ def read_components(package: Package, root: Element, archive: Archive, folder: s
             raise CouplingError.report(
                 f"{package.path}, component {name}", expected="a new name", received="one that is taken"
             )
-        parts[name] = FmuComponent(fmus[entry], name)
+        try:
+            parts[name] = FmuComponent(fmus[entry], name)
+        except NdobError as error:  # which names the file where it lies now, and not in the package
+            raise type(error)(str(error).replace(str(fmus[entry]), f"{package.path}, {entry}")) from error
     return parts
 
 
@@ -135,8 +159,14 @@ def read_system(package: Package, root: Element, parts: dict[str, FmuComponent],
         for name, links in mapped.items()
         if name not in inputs and behind.isdisjoint(link.port for link in links)
     }
+    undriven = structure.undriven_outputs()
     return replace(
-        bare, connections=structure.connections(), start_values=starts, inputs=inputs, outputs=structure.outputs()
+        bare,
+        connections=structure.connections(),
+        start_values=starts,
+        inputs=inputs,
+        outputs=structure.outputs(),
+        warnings=(f"nothing drives {some_of(undriven)} at the boundary; no row has a value",) if undriven else (),
     )
 
 

@@ -108,8 +108,15 @@ class Structure:
             for end in self.ends(source)
             if end.node.owner == ""
         }
-        shown = [node.name for node, signal in self.signals.items() if node.owner == "" and signal.kind in _OUTWARDS]
-        return {name: found[name] for name in shown if name in found}
+        return {name: found[name] for name in self._shown() if name in found}
+
+    def undriven_outputs(self) -> list[str]:
+        """Return the outputs of the outermost system that no component's output leads to."""
+        found = self.outputs()
+        return [name for name in self._shown() if name not in found]
+
+    def _shown(self) -> list[str]:
+        return [node.name for node, signal in self.signals.items() if node.owner == "" and signal.kind in _OUTWARDS]
 
     def ends(self, node: Node) -> list[End]:
         """Return where a signal from `node` gets to: ports of components and outputs of the outermost system."""
