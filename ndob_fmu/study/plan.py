@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, some_of
 from ndob_fmu.results import read_sealed_json
 
 PLAN = "study.json"
@@ -33,7 +33,7 @@ def read_plan(folder: Path) -> dict[str, Any]:
         wrong += [name for name, unit in plan["units"].items() if not isinstance(unit, str)]
     if wrong:
         raise UsageError.report(
-            str(path), expected="the plan of a study", received=f"no valid {', '.join(wrong)}", likely="it was edited"
+            str(path), expected="the plan of a study", received=f"no valid {some_of(wrong)}", likely="it was edited"
         )
     return plan
 
