@@ -12,6 +12,8 @@
  *   threads STEPS            steps the instances at places 0 and 1 on two threads; prints their first outputs
  *   log ON CATEGORIES        save  restore  drop  bytes FILE  unbytes FILE      FMU state
  *   traps                    from now on a division by zero and their like end the process; prints whether they did already
+ *   fork TIMES MODE          fork so often, at "rest" or while a thread makes "steps" with the instance at place 0, and have each
+ *                            child get, step and free it and make another; prints how many were OK, refused and hung
  *   storm TIMES              two threads make instances, take and free states of their own, and free all
  *
  * Log messages are printed as "log STATUS CATEGORY TEXT". */
@@ -24,7 +26,9 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/wait.h>
 #include <time.h>
+#include <unistd.h>
 
 static const char *const STATUS[] = {"OK", "Warning", "Discard", "Error", "Fatal", "Pending"};
 static void *library;
@@ -86,6 +90,46 @@ static void *storm(void *times) {
     return NULL;
 }
 
+static volatile int stepping;
+
+static void *endless(void *instance) {
+    for (int k = 0; stepping; k++) CALL(DoStep)(instance, k * 1e-3, 1e-3, fmi2True);
+    return NULL;
+}
+
+/* 0 if the instance at place 0 and a new one work, 1 if all is refused, 2 if some is. */
+static int child(void) {
+    double value = 0.0;
+    fmi2ValueReference reference = 0;
+    int good = CALL(GetReal)(places[0], &reference, 1, &value) == fmi2OK;
+    good += CALL(DoStep)(places[0], 0.0, 1e-3, fmi2True) == fmi2OK;
+    CALL(FreeInstance)(places[0]);
+    fmi2Component another =
+        CALL(Instantiate)("child", fmi2CoSimulation, guid_of_all, uri_of_all, &callbacks_of_all, 0, 0);
+    good += another && CALL(GetReal)(another, &reference, 1, &value) == fmi2OK;
+    if (another) CALL(FreeInstance)(another);
+    return good == 3 ? 0 : good == 0 ? 1 : 2;
+}
+
+static void forks(int times, int steps) {
+    int ends[3] = {0};
+    pthread_t thread;
+    if ((stepping = steps)) pthread_create(&thread, NULL, endless, places[0]);
+    for (int i = 0; i < times; i++) {
+        usleep(5000);
+        pid_t process = fork();
+        if (!process) {
+            alarm(20); /* ends a child that hangs */
+            exit(child());
+        }
+        int status = 0;
+        waitpid(process, &status, 0);
+        if (WIFEXITED(status)) ends[WEXITSTATUS(status) % 3]++;
+    }
+    if (steps) stepping = 0, pthread_join(thread, NULL);
+    printf("OK %d refused %d hung %d ", ends[0], ends[1], times - ends[0] - ends[1] - ends[2]);
+}
+
 int main(int count, char *words[]) {
     if (count != 4 || !(library = dlopen(words[1], RTLD_NOW | RTLD_LOCAL))) return fprintf(stderr, "%s\n", dlerror()), 2;
     const char *uri = strcmp(words[2], "-") ? words[2] : NULL;
@@ -122,6 +166,9 @@ int main(int count, char *words[]) {
             pthread_t one, other;
             pthread_create(&one, NULL, storm, &times), pthread_create(&other, NULL, storm, &times);
             pthread_join(one, NULL), pthread_join(other, NULL);
+        } else if (IS("fork")) {
+            guid_of_all = words[3], uri_of_all = uri, callbacks_of_all = callbacks;
+            forks(atoi(word[1]), strcmp(word[2], "steps") == 0);
         } else if (IS("at")) c = places[atoi(word[1])];
         else if (IS("setup")) status = CALL(SetupExperiment)(c, 0, 0.0, atof(word[1]), word[2] != NULL, word[2] ? atof(word[2]) : 0.0);
         else if (IS("enter")) status = CALL(EnterInitializationMode)(c);

@@ -22,12 +22,14 @@ void surroundings_enter(Surroundings *host) {
         fegetenv(&host->numerics);
         fesetenv(FE_DFL_ENV);
     }
+    python_entered();
     interrupts_begin();
 }
 
 void surroundings_leave(const Surroundings *host) {
     if (host->unusual) fesetenv(&host->numerics);
     interrupts_end();
+    python_left();
 }
 
 static const char *mode_name(Mode mode) {
@@ -35,7 +37,8 @@ static const char *mode_name(Mode mode) {
            : mode == INITIALIZATION ? "in initialization mode"
            : mode == STEPPING       ? "in step mode"
            : mode == TERMINATED     ? "terminated"
-                                    : "lost after a fatal error";
+           : mode == LOST           ? "lost after a fatal error"
+                                    : "inherited from a process that forked while a thread was calling an FMU";
 }
 
 static void refuse(Instance *self, const char *function, unsigned modes) {
@@ -55,15 +58,16 @@ Instance *enter(fmi2Component component, const char *function, unsigned modes) {
     if (atomic_flag_test_and_set(&slot->busy)) return NULL;
     Instance *self = slot->object;
     /* Since it was looked up the instance may have been freed, and another may have taken its slot. */
-    if (handle_slot(&instances, component) != slot || !self || !python_alive())
-        return atomic_flag_clear(&slot->busy), NULL;
+    bool there = handle_slot(&instances, component) == slot && self;
+    bool orphaned = there && self->progress.mode == ORPHANED;
+    if (!there || (!orphaned && !python_alive())) return atomic_flag_clear(&slot->busy), NULL;
     self->log.worst = fmi2OK;
     if (!(self->progress.mode & modes)) {
         refuse(self, function, modes);
         return atomic_flag_clear(&slot->busy), NULL;
     }
     surroundings_enter(&self->host);
-    python_keep_thread();
+    if (!orphaned) python_keep_thread();
     return self;
 }
 

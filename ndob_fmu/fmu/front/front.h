@@ -15,7 +15,7 @@
 #include <stdint.h>
 
 /* The FMI 2.0 state machine for co-simulation, as a set of bits so that a call can name all modes it is allowed in. */
-typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, LOST = 16 } Mode;
+typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, LOST = 16, ORPHANED = 32 } Mode;
 #define ANY_MODE ((unsigned)(INSTANTIATED | INITIALIZATION | STEPPING | TERMINATED))
 
 /* -- description.c: resources/front.txt, which the build writes */
@@ -46,6 +46,13 @@ void description_free(Description *description);
  * should know although all is well, or stays empty. */
 bool python_start(const Description *description, char *reason, size_t size, char *warning, size_t warning_size);
 bool python_alive(void);
+/* Around what may wait for Python's lock or have it. */
+void python_entered(void);
+void python_left(void);
+/* In the child of a fork: whether Python can be entered there. */
+bool python_after_fork(void);
+/* Whether it cannot, since a fork in this process or one of its parents. */
+bool python_is_orphaned(void);
 /* Whether the process had a Python of its own before the first of these FMUs. */
 bool python_is_the_hosts(void);
 /* Keep the calling thread's thread state from now on, instead of a new one for each call. */
@@ -112,6 +119,8 @@ typedef struct {
 void *handle_new(Handles *handles, void *object); /* NULL when all are taken or there is no memory */
 Slot *handle_slot(Handles *handles, const void *handle); /* NULL if it is none */
 void handle_free(Handles *handles, Slot *slot);
+void handles_each(Handles *handles, void (*function)(Slot *));
+void handles_after_fork(void); /* in the child, as the next two */
 
 /* -- instance.c */
 
@@ -132,6 +141,7 @@ typedef struct {
 } Slave;
 
 extern Slave slave;
+void instances_after_fork(bool usable);
 
 /* What of the calling thread is the host's: kept during a call. */
 typedef struct {
@@ -177,5 +187,6 @@ fmi2Status leave(Instance *self, fmi2Status status);
 
 /* Release the states that the instance has made. */
 void states_free(Instance *self);
+void states_after_fork(void);
 
 #endif

@@ -55,6 +55,15 @@ Slot *handle_slot(Handles *handles, const void *handle) {
     return atomic_load_explicit(&slot->handle, memory_order_acquire) == (uintptr_t)handle ? slot : NULL;
 }
 
+void handles_each(Handles *handles, void (*function)(Slot *)) {
+    for (size_t i = 0; i < SLOTS; i++) {
+        Slot *chunk = atomic_load(&handles->chunks[i / SLOTS_PER_CHUNK]);
+        if (chunk && atomic_load(&chunk[i % SLOTS_PER_CHUNK].handle)) function(&chunk[i % SLOTS_PER_CHUNK]);
+    }
+}
+
+void handles_after_fork(void) { pthread_mutex_init(&lock, NULL); }
+
 void handle_free(Handles *handles, Slot *slot) {
     pthread_mutex_lock(&lock);
     uintptr_t index = (uintptr_t)atomic_load(&slot->handle) & (SLOTS - 1);

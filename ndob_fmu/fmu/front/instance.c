@@ -31,8 +31,8 @@ __attribute__((constructor)) static void note_own_folder(void) {
 
 /* Before pythonfmu's static objects are destroyed, after which its own call of this frees one of them twice. */
 static void finish(void) {
-    if (slave.finalize) slave.finalize();
-    if (slave.library && !living) dlclose(slave.library);
+    if (slave.finalize && !python_is_orphaned()) slave.finalize();
+    if (slave.library && !living && !python_is_orphaned()) dlclose(slave.library);
     slave = (Slave){0};
     python_leave();
 }
@@ -107,6 +107,12 @@ static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char 
             self->description.guid, guid ? guid : "NULL");
         return false;
     }
+    if (python_is_orphaned()) {
+        log_line(&self->log, fmi2Error,
+                 "fmi2Instantiate: expected a process that starts by itself, received one that was forked while a thread "
+                 "was calling an FMU; fork before the first or between two calls, or use spawn or exec");
+        return false;
+    }
     if (!python_start(&self->description, reason, sizeof reason, warning, sizeof warning)) {
         log_line(
             &self->log, fmi2Error,
@@ -160,6 +166,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     self->callbacks =
         (fmi2CallbackFunctions){log_from_slave, functions->allocateMemory, functions->freeMemory, NULL, &self->log};
     self->progress = (Progress){.mode = INSTANTIATED};
+    python_entered();
     char *folder = NULL, *slave_folder = NULL;
     void *handle = NULL;
     if (!named) {
@@ -170,6 +177,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         self->slave = made(self, name, guid, slave_folder, visible);
         if (self->slave && !(handle = handle_new(&instances, self))) slave.FreeInstance(self->slave);
     }
+    python_left();
     free(folder);
     free(slave_folder);
     if (!handle) {
@@ -183,15 +191,31 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 }
 
 void fmi2FreeInstance(fmi2Component component) {
-    Instance *self = enter(component, __func__, ANY_MODE | LOST);
+    Instance *self = enter(component, __func__, ANY_MODE | LOST | ORPHANED);
     if (!self) return;
     Surroundings host = self->host;
     states_free(self);
-    slave.FreeInstance(self->slave);
+    if (self->progress.mode != ORPHANED) slave.FreeInstance(self->slave);
     handle_free(&instances, self->slot);
     discard(self);
     surroundings_leave(&host);
     if (--living == 0) left_by_all();
+}
+
+static void orphan(Slot *slot) {
+    Instance *self = slot->object;
+    self->progress.mode = ORPHANED;
+    atomic_flag_clear(&slot->busy);
+}
+
+static void orphan_if_busy(Slot *slot) {
+    if (atomic_flag_test_and_set(&slot->busy)) orphan(slot);
+    else atomic_flag_clear(&slot->busy);
+}
+
+void instances_after_fork(bool usable) {
+    pthread_mutex_init(&loading, NULL);
+    handles_each(&instances, usable ? orphan_if_busy : orphan);
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String names[]) {

@@ -22,7 +22,9 @@
 typedef struct {
     pthread_mutex_t lock;
     pthread_key_t kept_state;
-    bool has_key, started_by_us;
+    bool has_key, started_by_us, orphaned;
+    _Atomic int inside; /* threads in calls that use Python */
+    int (*has_lock)(void); /* whether the calling thread has Python's lock; NULL before Python is used */
 } Shared;
 __asm__(".pushsection .bss.ndob_fmu_python,\"aw\",@nobits\n"
         ".balign 64\n"
@@ -84,6 +86,7 @@ static bool symbols(void *library, Reasons *reasons) {
         return add_reason(reasons, "the process's Python has no " #name), false;
     PYTHON_FUNCTIONS(F)
 #undef F
+    shared.has_lock = py.PyGILState_Check;
     py.is_finalizing = (int (*)(void))dlsym(library, "Py_IsFinalizing");
     if (!py.is_finalizing) py.is_finalizing = (int (*)(void))dlsym(library, "_Py_IsFinalizing");
     return true;
@@ -262,12 +265,33 @@ static bool find(const Description *description, Reasons *reasons, char *warning
     return good;
 }
 
+void python_entered(void) { shared.inside++; }
+
+void python_left(void) { shared.inside--; }
+
+bool python_is_orphaned(void) { return shared.orphaned; }
+
+bool python_after_fork(void) {
+    pthread_mutex_init(&shared.lock, NULL);
+    /* os.fork() puts Python in order for the child, and has its lock. Else nobody may have it: in a process whose Python
+     * is the FMUs' own that is so while no call uses it. */
+    bool held = shared.has_lock && shared.has_lock(), own = !shared.has_lock || shared.started_by_us;
+    bool usable = held || (own && !shared.inside);
+    shared.inside = 0;
+    if (usable && !shared.orphaned) return true;
+    shared.orphaned = true;
+    ready = false;
+    return false;
+}
+
 /* At a thread's end. Python's own note of the state may be gone already, so that it cannot be released by it. */
 static void delete_state(void *state) {
     if (!python_alive()) return;
+    python_entered();
     py.PyEval_RestoreThread(state);
     py.PyThreadState_Clear(state);
     py.PyThreadState_DeleteCurrent();
+    python_left();
 }
 
 /* Let go of the GIL if the calling thread has it, so that no thread waits for it with the lock that this one wants. */

@@ -62,7 +62,7 @@ static void drop(Instance *self, State *state) {
     bool last = --state->users == 0;
     pthread_mutex_unlock(&lock);
     if (!last) return;
-    slave.FreeFMUstate(self->slave, &state->slave);
+    if (self->progress.mode != ORPHANED) slave.FreeFMUstate(self->slave, &state->slave);
     free(state);
 }
 
@@ -85,6 +85,8 @@ static bool given(Instance *self, const char *function, const void *place) {
     log_line(&self->log, fmi2Error, "%s: expected no argument to be NULL, received NULL", function);
     return false;
 }
+
+void states_after_fork(void) { pthread_mutex_init(&lock, NULL); }
 
 void states_free(Instance *self) {
     for (;;) {
