@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import platform
+import re
 import shutil
 import uuid
 from collections.abc import Iterator, Mapping
@@ -25,6 +26,7 @@ from ndob_fmu.errors import UsageError, nearest, one_of, some_of
 SYSTEM_PICTURE = "system.svg"  # the name of the picture of the system in a folder of results
 _VALUES_IN_A_BLOCK = 100_000  # a Python number takes 32 bytes: some megabytes
 _SEAL = "sha256"  # the entry of a JSON file with the digest of the others
+_TRUTH = re.compile(r"\b(?:true|false)\b", re.IGNORECASE)  # as fmpy, spreadsheets and JSON write them
 _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Boolean": np.dtype(np.bool_)}
 
 
@@ -138,7 +140,7 @@ def _integer(value: float) -> str:
 
 
 def read_csv(path: str | Path) -> Recording:
-    """Read fmpy's CSV form; every column becomes Real, since the form does not carry types.
+    """Read fmpy's CSV form; every column becomes Real, since the form does not carry types: true is 1 and false 0.
 
     Raises UsageError if the file is missing, has no rows, does not begin with ``time``, names a column twice, or holds
     anything but numbers.
@@ -147,7 +149,7 @@ def read_csv(path: str | Path) -> Recording:
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:  # -sig: spreadsheets write a byte-order mark
             names = next(csv.reader(file), [])
-            lines = [line.replace("True", "1").replace("False", "0") for line in file]  # as fmpy writes Booleans
+            lines = [_with_numbers(line) for line in file]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
     if not names or names[0] != "time" or len(set(names)) != len(names):
@@ -158,13 +160,21 @@ def read_csv(path: str | Path) -> Recording:
             likely="another separator than the comma, or no header line",
         )
     try:
-        table = np.loadtxt(lines, delimiter=",", ndmin=2) if any(map(str.strip, lines)) else np.empty((0, len(names)))
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if any(map(str.strip, lines)) else np.empty((0, len(names)))
     except ValueError as error:
         raise UsageError.report(where, expected="numbers separated by commas", received=str(error)) from error
-    if table.shape[0] == 0 or table.shape[1] != len(names):
-        received = f"{table.shape[0]} rows of {table.shape[1]} values"
+    if rows.shape[0] == 0 or rows.shape[1] != len(names):
+        received = f"{rows.shape[0]} rows of {rows.shape[1]} values"
         raise UsageError.report(where, expected=f"rows of {len(names)} values, as in the header", received=received)
-    return Recording(table[:, 0].copy(), tuple(names[1:]), table[:, 1:].copy())
+    return Recording(rows[:, 0].copy(), tuple(names[1:]), rows[:, 1:].copy())
+
+
+def _with_numbers(line: str) -> str:
+    """Return a line with 1 and 0 for true and false."""
+    # No number has one of these letters, and to look for them costs little.
+    if "t" in line or "T" in line or "s" in line or "S" in line:
+        return _TRUTH.sub(lambda word: str(int(word[0].lower() == "true")), line)
+    return line
 
 
 def write_json(path: str | Path, data: Any) -> None:

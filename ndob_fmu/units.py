@@ -36,6 +36,16 @@ class BaseUnit:
     factor: float = 1.0
     offset: float = 0.0
 
+    def __str__(self) -> str:
+        """Return the meaning in Modelica's notation: ``100000 kg.m-1.s-2``, ``1 K + 273.15``."""
+        powers = [
+            base + (str(power) if power != 1 else "")
+            for base, power in zip(BASE_UNITS, self.powers, strict=True)
+            if power
+        ]
+        offset = f" {'+' if self.offset > 0 else '-'} {abs(self.offset):.12g}" if self.offset else ""
+        return " ".join([f"{self.factor:.12g}", ".".join(powers)]).rstrip() + offset
+
     def attributes(self) -> dict[str, str]:
         """Return the attributes of the element BaseUnit in FMI and SSP, without those that have their default."""
         found = {base: str(power) for base, power in zip(BASE_UNITS, self.powers, strict=True) if power}
@@ -90,6 +100,10 @@ class Unit(NamedTuple):
 
     name: str | None = None
     meaning: BaseUnit | None = None
+
+    def __str__(self) -> str:
+        """Return the name, with the definition where there is one: two FMUs may define a name differently."""
+        return f"{self.name} ({self.meaning})" if self.meaning else str(self.name)
 
     def to(self, other: Unit) -> tuple[float, float] | None:
         """Return (factor, offset) that turn a value in this unit into one in ``other``; None if none can.

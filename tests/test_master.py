@@ -312,7 +312,7 @@ def test_a_lost_sample_in_the_input_file_reaches_the_component_as_nan(tmp_path):
         ('"time","a.u"', ["0,one"], UsageError, ["numbers separated by commas", "one"]),
         ('"time","a.u"', ["0,1,2"], UsageError, ["rows of 2 values", "1 rows of 3 values"]),
         ('"time","a.u"', [], UsageError, ["rows of 2 values", "0 rows"]),
-        ('"time","a.u","a.on"', ["0,1,2"], CouplingError, ["column a.on", "0 or 1 (Boolean)", "2.0"]),
+        ('"time","a.u","a.on"', ["0,1,2"], CouplingError, ["column a.on", "true, false, 1 or 0 (Boolean)", "2.0"]),
         ('"time","a.u","a.n"', ["0,1,0.5"], CouplingError, ["column a.n", "whole numbers (Integer)", "0.5"]),
     ],
 )
@@ -325,6 +325,23 @@ def test_an_input_file_that_cannot_be_used_says_why_and_where(tmp_path, header, 
         simulate(system, stop_time=1.0, step_size=0.5, input_file=file)
     assert all(text in str(refused.value) for text in parts), str(refused.value)
     assert part.calls == []
+
+
+def test_true_and_false_in_an_input_file_are_booleans_however_they_are_written(tmp_path):
+    written = ["true", "FALSE", "True", "0", "1", "false"]
+    rows = [f"{k},{word},{k}.5e0" for k, word in enumerate(written)]
+    file = write(tmp_path / "u.csv", '"time","a.on","a.u"', *rows)
+    part = Mock([Variable("on", "input", "Boolean"), Variable("u", "input")], ["y"], output=lambda x, u: [u["on"]])
+    simulate(System({"a": part}), stop_time=6.0, step_size=1.0, input_file=file)
+    assert [u["on"] for u in part.received] == [1, 0, 1, 0, 1, 0]
+    assert [u["u"] for u in part.received] == [0.5, 1.5, 2.5, 3.5, 4.5, 5.5]
+
+
+def test_two_columns_for_one_input_are_refused(tmp_path):
+    system = System({"a": gain()}).expose("level", "a.u")
+    file = write(tmp_path / "u.csv", '"time","a.u","level"', "0,1,2")
+    with pytest.raises(CouplingError, match=r"input a\.u: .* received the columns a\.u and level"):
+        simulate(system, stop_time=1.0, step_size=1.0, input_file=file)
 
 
 def test_a_missing_input_file_is_named(tmp_path):

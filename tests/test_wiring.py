@@ -107,6 +107,20 @@ def test_a_signal_is_converted_to_its_targets_unit_and_then_scaled():
     assert again.connections == system.connections
 
 
+def test_a_unit_that_two_components_define_differently_is_shown_with_both_definitions():
+    pressure, temperature = (1, -1, -2, 0, 0, 0, 0, 0), (0, 0, 0, 0, 1, 0, 0, 0)
+    gauge, tank = constant(1.0), integrator()
+    gauge.variables = (Variable("y", "output", unit="bar", base_unit=BaseUnit(pressure, 1e5), settable=False),)
+    tank.variables = (Variable("u", "input", unit="bar", base_unit=BaseUnit(temperature, 0.5, -2.5)), tank.variables[1])
+    with pytest.raises(CouplingError) as refused:
+        System().add("gauge", gauge).add("tank", tank).connect("gauge.y", "tank.u")
+    assert str(refused.value) == (
+        "connection gauge.y → tank.u: expected the unit bar (0.5 K - 2.5) of tank.u, or one that converts to it, "
+        "received bar (100000 kg.m-1.s-2)"
+    )
+    assert str(BaseUnit((0,) * 8)) == "1"
+
+
 def test_units_with_an_offset_are_converted_as_the_components_define_them():
     celsius, kelvin = BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15), BaseUnit((0, 0, 0, 0, 1, 0, 0, 0))
     sensor = constant(25.0)

@@ -72,8 +72,13 @@ def read_inputs(path: str | Path, system: System) -> InputTable:
             raise CouplingError.report(where, expected="a numeric or Boolean input", received=received)
         allowed = np.isin(values, (0, 1)) if variable.type == "Boolean" else values == np.round(values)
         if variable.type != "Real" and not allowed.all():
-            wanted = "0 or 1" if variable.type == "Boolean" else "whole numbers"
+            wanted = "true, false, 1 or 0" if variable.type == "Boolean" else "whole numbers"
             received = repr(float(values[~allowed][0]))
             raise CouplingError.report(where, expected=f"{wanted} ({variable.type})", received=received)
+    for name, link, _ in columns:
+        others = [other for other, same, _ in columns if same.port == link.port and other != name]
+        if others:
+            received = f"the columns {name} and {others[0]}"
+            raise CouplingError.report(f"{path}, input {link.port}", expected="exactly one driver", received=received)
     signals = np.column_stack([values for *_, values in columns]) if columns else table.columns
     return InputTable(tuple(link.port for _, link, _ in columns), table.time, signals)

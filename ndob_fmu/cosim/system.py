@@ -229,12 +229,13 @@ class System:
         _require_scaling(connection, source.type)
         if not convert_units:
             return connection
-        scaling = Unit(source.unit, source.base_unit).to(Unit(target.unit, target.base_unit))
+        given, wanted = Unit(source.unit, source.base_unit), Unit(target.unit, target.base_unit)
+        scaling = given.to(wanted)
         if scaling is None:
             raise CouplingError.report(
                 f"connection {connection}",
-                expected=f"the unit {target.unit} of {connection.target}, or one that converts to it",
-                received=str(source.unit),
+                expected=f"the unit {wanted} of {connection.target}, or one that converts to it",
+                received=str(given),
             )
         if scaling == (1.0, 0.0):
             return connection

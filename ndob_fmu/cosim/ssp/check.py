@@ -17,7 +17,7 @@ from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
 from ndob_fmu.cosim.system import System
 from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs, without_driver
-from ndob_fmu.errors import CouplingError, NdobError, UsageError, some_of
+from ndob_fmu.errors import CouplingError, NdobError, UsageError, shortened, some_of
 
 _Found = TypeVar("_Found")
 _MARKS = {True: "ok  ", False: "FAIL", None: "    "}
@@ -112,7 +112,7 @@ class _Checks:
         except NdobError as error:
             self.rows.append(SystemCheck(name, False, str(error)))
             return None
-        self.rows.append(SystemCheck(name, True, str(text), isinstance(text, _Warning)))
+        self.rows.append(SystemCheck(name, True, shortened(text), isinstance(text, _Warning)))
         return found
 
 

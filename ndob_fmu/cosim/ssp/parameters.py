@@ -143,8 +143,8 @@ def _scaling(parameter: _Parameter, target: _Target) -> tuple[float, float]:
         if conversion is None:
             raise CouplingError.report(
                 f"{parameter.where}, parameter {target.port}",
-                expected=f"the unit {target.unit.name}, or one that converts to it",
-                received=str(parameter.unit.name),
+                expected=f"the unit {target.unit}, or one that converts to it",
+                received=str(parameter.unit),
             )
         factor, offset = factor * conversion[0], factor * conversion[1] + offset
     return target.factor * factor, target.factor * offset + target.offset

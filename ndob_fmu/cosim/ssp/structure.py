@@ -145,8 +145,8 @@ class Structure:
         if scaling is None:
             raise CouplingError.report(
                 where,
-                expected=f"the unit {target.unit.name} of {hop.target}, or one that converts to it",
-                received=str(unit.name),
+                expected=f"the unit {target.unit} of {hop.target}, or one that converts to it",
+                received=str(unit),
             )
         # A connector without unit passes on the one that comes in.
         after = target.unit if target.unit.name else unit
