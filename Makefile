@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench docs regression exits soak tools clean
+.PHONY: demo test build lint bench docs regression exits soak importers tools clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -44,6 +44,9 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.bit_flips --trials 2000 --seed 1
 	$(BIN)/python -m tests.attacks.study_files --trials 10000 --seed 1
+
+importers: .venv/installed-test build
+	$(BIN)/python tests/other_importers.py
 
 tools: .venv/installed-test
 	$(BIN)/python tests/tools_page.py

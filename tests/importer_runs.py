@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
@@ -15,29 +16,35 @@ from pathlib import Path
 
 import fmi_instance
 import numpy as np
-from clean_process import run_clean
-from importer_studies import coupled_twice, observer_alone, plant_alone, reference, run_again, shipped
+from clean_process import ENVIRONMENT, run_clean
+from importer_environments import PINNED, python_with
+from importer_studies import as_one_block, coupled_twice, observer_alone, plant_alone, reference, run_again, shipped
 from importers import Rows, Study
 from native_host import Native, unpack
 
-from ndob_fmu.cosim import System
+from ndob_fmu.cosim import FmuComponent, System, build_ssp
+from ndob_fmu.cosim.start_values import with_start_values
+from ndob_fmu.shipped import shipped_folder
 
 TOLERANCE = 1e-9
 HERE = Path(__file__).parent
 SPECIAL = "ä # + [ ( , ' x"
 PRINTED = 0.5e-6  # by what the six decimals of ecos's file may differ from the number
 
-# Which tools run what; the others do not offer it.
+# Which tools run what; the others do not offer it, or run no more of it here.
 PYTHON = ("fmpy", "libcosimpy", "ecospy")
 RUNS = {
     "plant": (*PYTHON, "ecos", "C host"),
     "observer, recorded inputs": (*PYTHON, "C host"),
     "open_loop.ssp": ("libcosimpy", "ecospy", "ecos"),
+    "open_loop_boundary.ssp": ("fmucontainer",),
     "two plants, two observers": ("libcosimpy", "ecospy", "ecos"),
     "run again": (*PYTHON, "C host"),
     "special folder": (*PYTHON, "ecos", "C host"),
     "state": ("fmpy", "C host"),
 }
+# What tools with an environment of their own run besides.
+RUNS_IN_ENVIRONMENTS = {study: tuple(PINNED) for study in ("plant", "observer, recorded inputs")}
 
 
 @dataclass
@@ -63,6 +70,11 @@ class Bench:
         if name == "open_loop.ssp":
             study = shipped(self.package)
             return study, self.folder, reference(study)
+        if name == "open_loop_boundary.ssp":
+            study = as_one_block(
+                build_ssp(shipped_folder("ssp") / "open_loop_boundary", self.plant.parent, self.folder), steps=3000
+            )
+            return study, self.folder, reference(study)
         if name == "special folder":
             folder = self.folder / SPECIAL
             folder.mkdir()
@@ -85,6 +97,8 @@ class Bench:
             return in_c_host(study, unpack(Path(path), folder / "fmu", self.host), restore=name == "state")
         if tool == "ecos":
             return in_ecos(study, folder)
+        if tool in PINNED:
+            return in_environment(tool, study, folder)
         return with_states(study) if name == "state" else in_python(tool, study, folder)
 
 
@@ -108,6 +122,27 @@ def in_python(tool: str, study: Study, folder: Path) -> Rows:
     described.write_text(json.dumps(asdict(study)), "utf-8")
     program = f"import sys; sys.path.append({str(HERE)!r}); import importers; importers.main(*sys.argv[1:])"
     done = run_clean(program, tool, described, rows, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return np.load(rows)
+
+
+def in_environment(tool: str, study: Study, folder: Path) -> Rows:
+    """Return the rows of a tool that has an environment of its own."""
+    ((name, path),) = study.instances.items()
+    fmu = folder / Path(path).name
+    if tool == "gemseo-fmu":  # which sets what it is given also after initialization, where parameters are fixed
+        inputs = {v.name for v in FmuComponent(path).variables if v.causality == "input"}
+        parameters = {port: v for port, v in study.starts.items() if port.removeprefix(f"{name}.") not in inputs}
+        fmu.write_bytes(with_start_values(path, {p.removeprefix(f"{name}."): v for p, v in parameters.items()}))
+        study = replace(study, starts={port: v for port, v in study.starts.items() if port not in parameters})
+    else:  # which read every output as a Real
+        command = shutil.which("fmutool", path=str(Path(sys.executable).parent))
+        options = ["-input", path, "-remove-regexp", "^valid$", "-output", str(fmu)]
+        subprocess.run([command, *options], check=True, capture_output=True)
+    described, rows = folder / "study.json", folder / "rows.npy"
+    described.write_text(json.dumps(asdict(replace(study, instances={name: str(fmu)}))), "utf-8")
+    program = [python_with(tool), HERE / "importers.py", tool, described, rows]
+    done = subprocess.run(program, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return np.load(rows)
 

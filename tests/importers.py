@@ -193,7 +193,7 @@ def ecospy(study: Study) -> Rows:
     return np.array(rows)
 
 
-def gemseo(study: Study) -> Rows:
+def gemseo_fmu(study: Study) -> Rows:
     """gemseo-fmu, one FMU in fmpy. It sets what it is given also after initialization: inputs, no fixed parameters."""
     from gemseo_fmu.disciplines.fmu_discipline import FMUDiscipline
 
@@ -212,7 +212,7 @@ def gemseo(study: Study) -> Rows:
     return np.column_stack([found[f"{discipline.name}_time"], *(found[column] for column in columns)])
 
 
-def pathsim(study: Study) -> Rows:
+def pathsim_fmi(study: Study) -> Rows:
     """pathsim-fmi, one FMU. It makes the step from t when it comes to t, so that outputs are seen one step early."""
     from pathsim import Connection, Simulation
     from pathsim.blocks import Scope, Source
@@ -269,7 +269,8 @@ def _held(values: tuple[float, ...], step_size: float) -> Callable[[float], floa
 
 
 TOOLS: dict[str, Callable[[Study], Rows]] = {
-    tool.__name__: tool for tool in (fmpy, fmucontainer, libcosimpy, ecospy, gemseo, pathsim, cofmupy)
+    tool.__name__.replace("_", "-"): tool
+    for tool in (fmpy, fmucontainer, libcosimpy, ecospy, gemseo_fmu, pathsim_fmi, cofmupy)
 }
 
 

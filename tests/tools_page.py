@@ -13,7 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from fmpy.validation import validate_fmu
-from importer_runs import RUNS, TOLERANCE, Bench
+from importer_environments import PINNED
+from importer_runs import RUNS, RUNS_IN_ENVIRONMENTS, TOLERANCE, Bench
 from native_host import compile_host
 from test_description import toolbox_findings
 
@@ -24,13 +25,21 @@ from ndob_fmu.shipped import shipped_folder
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tools.md"
 BEGIN, END = "<!-- written by tests/tools_page.py: begin -->\n", "<!-- end -->\n"
+# Each tool with what says its version.
 VERSIONS = {
     "fmpy": ("FMPy",),
     "libcosimpy": ("libcosimpy",),
     "ecospy": ("ecospy",),
     "ecos": ("ecospy",),
     "C host": (),
+    "fmucontainer": ("fmu-manipulation-toolbox",),
+    **dict.fromkeys(PINNED, ()),
 }
+
+
+def all_runs() -> dict[str, tuple[str, ...]]:
+    """Return which tools run what, those with an environment of their own among them."""
+    return {study: (*tools, *RUNS_IN_ENVIRONMENTS.get(study, ())) for study, tools in RUNS.items()}
 
 
 def main() -> int:
@@ -39,7 +48,7 @@ def main() -> int:
         plant, observer = build(load_model("flexible_joint"), folder)
         package = build_ssp(shipped_folder("ssp") / "open_loop", folder, folder)
         bench = Bench(plant, observer, package, compile_host(folder), folder)
-        cells = {(tool, study): bench.difference(tool, study) for study, tools in RUNS.items() for tool in tools}
+        cells = {(tool, study): bench.difference(tool, study) for study, tools in all_runs().items() for tool in tools}
         findings = {
             f"fmpy {version('FMPy')}, `fmpy validate`": [*validate_fmu(str(plant)), *validate_fmu(str(observer))],
             f"fmu-manipulation-toolbox {version('fmu-manipulation-toolbox')}, `fmutool -check`": [
@@ -50,7 +59,8 @@ def main() -> int:
     lines = [f"| Tool | {' | '.join(RUNS)} |", "|---" * (len(RUNS) + 1) + "|"]
     for tool in VERSIONS:
         shown = " | ".join(_cell(cells.get((tool, study))) for study in RUNS)
-        lines.append(f"| {' '.join((tool, *map(version, VERSIONS[tool])))} | {shown} |")
+        versions = [PINNED[tool]] if tool in PINNED else map(version, VERSIONS[tool])
+        lines.append(f"| {' '.join((tool, *versions))} | {shown} |")
     lines += ["", *(f"- {checker}, both FMUs: {len(found)} findings" for checker, found in findings.items())]
     before, _, rest = PAGE.read_text("utf-8").partition(BEGIN)
     with atomic_path(PAGE) as temporary:
