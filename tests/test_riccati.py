@@ -179,11 +179,12 @@ def test_a_pi_beyond_the_digits_of_dense_coordinates_is_refused(problem):
 
 @pytest.mark.parametrize(("problem", "pi"), [(RANDOM[1], 1e28), (RANDOM[3], 1e20), (RANDOM[6], 1e28)])
 def test_an_extreme_pi_that_is_not_refused_has_a_right_gain(problem, pi):
-    """The residual that is reported is about the error of L, eq. (7)."""
+    """The residual that is reported bounds the error of L, eq. (7), which may be smaller by chance."""
     linear = problem.linear
     solution = solve(linear, pi=pi, alpha=0.4)
     error = relative_difference(solution.Q @ linear.C.T, exact_solution(linear, pi, 0.4, digits=100) @ linear.C.T)
-    assert 1e-11 < error < 5.0 * solution.residual
+    assert solution.residual > 1e-11
+    assert error < 5.0 * solution.residual
 
 
 @pytest.mark.parametrize("pi", [1e-2, 1.0, 1e6, 1e16])
