@@ -12,6 +12,7 @@ build: .venv/installed
 
 test: .venv/installed-test build lint
 	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/python -m tests.kernels
 
 lint: .venv/installed-test
 	$(BIN)/ruff check .

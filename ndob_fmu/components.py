@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
+from ndob_fmu.digits import certain_digits
 from ndob_fmu.emit import emit_python
 from ndob_fmu.errors import DesignError, ModelError, UsageError, some_of
 from ndob_fmu.fmu.build import package
@@ -40,7 +42,7 @@ class ControllerDesign:
     """
 
     feedback: Feedback
-    poles: Array
+    poles: NDArray[np.complex128]
     unmatched: Array
 
 
@@ -70,8 +72,8 @@ def design_controller(
     A, B = controller.jacobians(controller.start())
     try:
         P = solve_continuous_are(A + pace * np.eye(n), B, np.zeros((n, n)), np.eye(m))
-        K = B.T @ P
-        poles = np.linalg.eigvals(A - B @ K)
+        K = certain_digits(B.T @ P)
+        poles = np.linalg.eigvals(A - B @ K).astype(complex)
         moved = bool(poles.real.max() <= -pace * (1.0 - _MARGIN))
     except np.linalg.LinAlgError:
         moved = False

@@ -22,8 +22,10 @@ from ndob_fmu.runtime.riccati import Array
 _MOST_DOUBLINGS = 40
 # Each doubling squares what is left to add: after an addition of this relative size, nothing is.
 _CONVERGED = 1e-9
-# The first pass is made in the states themselves, each other one in the coordinates that the pass before found.
-_PASSES = 3
+# The first pass is made in the states themselves, each other one in the coordinates that the pass before found. These
+# are right where a pass leaves them within this factor.
+_MOST_PASSES = 5
+_SAME_COORDINATES = 4.0
 _TOLERANCE = 1e-6
 
 
@@ -62,9 +64,13 @@ def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Ar
         seen = np.linalg.solve(R_factor, C)
         factor = np.eye(len(Phi))
         try:
-            for _ in range(_PASSES):
+            for _ in range(_MOST_PASSES):
                 T = own_coordinates(factor)
-                factor = triangular(T @ _doubled(forward(T, Phi @ T), seen @ T, forward(T, noise_factor)))
+                z_factor = _doubled(forward(T, Phi @ T), seen @ T, forward(T, noise_factor))
+                factor = triangular(T @ z_factor)
+                sizes = np.abs(np.diag(z_factor))
+                if np.all((sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)):
+                    break
             found = update(factor, C, R_factor)
             change = gain_change(found, update(predict(found.factor, Phi, noise_factor), C, R_factor))
         except np.linalg.LinAlgError:

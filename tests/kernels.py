@@ -1,0 +1,104 @@
+"""Run the numerical tests, and build what is shipped, under several kernels of OpenBLAS: python -m tests.kernels.
+
+OpenBLAS chooses its kernels by the processor, and their last bits differ. No result, no refusal and no byte of a file
+may depend on them. Fails by its exit code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from threadpoolctl import threadpool_info
+
+ROOT = Path(__file__).parents[1]
+# The kernels, and the names by which OpenBLAS reports them: it may use Prescott's for Katmai, and say so.
+KERNELS = {"Haswell": ("Haswell",), "Sandybridge": ("Sandybridge",), "Prescott": ("Prescott", "Katmai"), "": ()}
+NUMERICAL = [
+    f"tests/test_{name}.py"
+    for name in ("kalman", "sampled_design", "tuning", "riccati", "zeros", "exponential", "augmented", "certificate")
+]
+# What takes long and looks at the optimum alone.
+_LEFT_OUT = ("-k", "not no_other_intensity")
+_PROBE = "from tests.kernels import running; print(running())"
+
+
+def running() -> str:
+    """Return the kernels that NumPy runs in this process, as OpenBLAS reports them; empty without OpenBLAS."""
+    import numpy as np
+
+    np.eye(2) @ np.eye(2)
+    found = {info["architecture"] for info in threadpool_info() if info["internal_api"] == "openblas"}
+    return ", ".join(sorted(found))
+
+
+def environment(kernel: str) -> dict[str, str]:
+    """Return the environment of a process that runs a kernel, or the machine's own for an empty name, in one thread."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("OPENBLAS_")}
+    return kept | {"OPENBLAS_NUM_THREADS": "1"} | ({"OPENBLAS_CORETYPE": kernel} if kernel else {})
+
+
+def digest(folder: Path) -> str:
+    """Return the SHA-256 of all files in a folder, with their names."""
+    whole = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        whole.update(f"{path.relative_to(folder)}\0".encode() + path.read_bytes())
+    return whole.hexdigest()
+
+
+def run(kernel: str) -> tuple[str, int, str]:
+    """Return what a kernel did in one line, with what failed, the exit code, and the digest of what it built."""
+
+    def call(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, *words]
+        return subprocess.run(
+            command, env=environment(kernel), cwd=ROOT, capture_output=True, encoding="utf-8", check=False
+        )
+
+    name, actual = kernel or "the machine's own", call("-c", _PROBE).stdout.strip()
+    if kernel and actual not in KERNELS[kernel]:
+        return f"{name}: this processor runs {actual} instead, nothing to test", 0, ""
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
+        shipped = ("flexible_joint", "--out", f"{work}/fmus", "--systems", f"{work}/ssp")
+        built = call("-m", "ndob_fmu", "build", *shipped)
+        made = digest(Path(work))
+    tested = call("-m", "pytest", "-q", "-p", "no:cacheprovider", *_LEFT_OUT, *NUMERICAL)
+    lines = tested.stdout.strip().splitlines()
+    text = f"{name} ({actual}): {lines[-1] if lines else tested.stderr}, built {made[:12]}"
+    if tested.returncode:
+        text += f"\n{tested.stdout}"
+    if built.returncode:
+        text += f"\n{built.stderr}"
+    return text, tested.returncode or built.returncode, made
+
+
+def main() -> int:
+    """Run all kernels, as many at a time as there are processors; return the exit code."""
+    if platform.machine().lower() not in ("x86_64", "amd64") or not running():
+        print("kernels: NumPy has no OpenBLAS here whose kernels could be chosen, nothing to switch")
+        return 0
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        results = []
+        for text, code, made in pool.map(run, KERNELS):
+            print(text, flush=True)
+            results.append((code, made))
+    return verdict(results)
+
+
+def verdict(results: Sequence[tuple[int, str]]) -> int:
+    """Return 1 where a kernel's tests failed or kernels built different bytes, and say the latter; else 0."""
+    same = len({made for _, made in results if made}) == 1
+    if not same:
+        print("kernels: expected the same bytes of FMUs and packages under all kernels, received different ones")
+    return int(any(code for code, _ in results) or not same)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
