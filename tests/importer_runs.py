@@ -72,7 +72,7 @@ class Bench:
             return study, self.folder, reference(study)
         if name == "open_loop_boundary.ssp":
             study = as_one_block(
-                build_ssp(shipped_folder("ssp") / "open_loop_boundary", self.plant.parent, self.folder), steps=3000
+                build_ssp(shipped_folder("ssp") / "open_loop_boundary", self.plant.parent, self.folder), steps=1000
             )
             return study, self.folder, reference(study)
         if name == "special folder":

@@ -70,7 +70,7 @@ def _columns(**names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{instance}.{name}" for instance, of_instance in names.items() for name in of_instance)
 
 
-def as_one_block(package: Path, steps: int = 300) -> Study:
+def as_one_block(package: Path, steps: int = 100) -> Study:
     """A package with names at its boundary: all inputs there are set, all Real outputs there are shown."""
     with open_ssp(package) as (system, _):
         shown = tuple(name for name, link in system.outputs.items() if system.variable(link.port).type == "Real")
