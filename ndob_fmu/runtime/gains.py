@@ -29,6 +29,10 @@ class LinearPart:
         """The unknown-input channel (n,q): G_d where f is matched, else [G_f G_d]."""
         return self.G_d if self.matched else np.hstack([self.G_f, self.G_d])
 
+    def f_rate(self, lipschitz: float) -> float:
+        """Return a bound of the rate (1/s) at which G_f f moves the state, ‖G_f‖ γ."""
+        return float(np.linalg.norm(self.G_f, 2)) * lipschitz if self.G_f.size else 0.0
+
     @cached_property
     def G_inverse(self) -> Array:
         """The left inverse of G, (q,n)."""

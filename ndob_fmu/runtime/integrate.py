@@ -13,7 +13,8 @@ from ndob_fmu.runtime.riccati import Array
 
 RELATIVE_TOLERANCE = 2e-12
 ABSOLUTE_TOLERANCE = 1e-12
-MOST_SUBSTEPS = 100_000
+# In one communication step; they take the generated code of a plant 0.1 s.
+MOST_SUBSTEPS = 10_000
 # A substep that comes this near to the end of the interval goes to the end.
 ALMOST = 1.0 - 1e-12
 
@@ -86,7 +87,7 @@ def adapt(
         h = next_substep(step, error_norm)
     raise IntegrationError(
         f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
-        "likely cause: parameters that make the plant stiff or unstable"
+        "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
     )
 
 

@@ -127,8 +127,8 @@ class PaperObserver:
 
     @cached_property
     def fastest_f(self) -> float:
-        """Bound of the rate (1/s) at which G_f f moves the state: ‖G_f‖ γ."""
-        return float(np.linalg.norm(self.linear.G_f, 2)) * self.equations.lipschitz if self.linear.G_f.size else 0.0
+        """Bound of the rate (1/s) at which G_f f moves the state."""
+        return self.linear.f_rate(self.equations.lipschitz)
 
     def _substeps(self, t: float, H: float) -> int:
         rise = abs(self.schedule.log_pi(t + H) - self.schedule.log_pi(t))

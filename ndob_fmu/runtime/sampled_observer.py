@@ -10,6 +10,7 @@ on a usual sample takes a step of generated scalar code (`Equations.steps`); `st
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import factorial
 from operator import mul
 
@@ -18,7 +19,7 @@ import numpy as np
 from ndob_fmu.runtime.augmented import Augmented, augment, discretise
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.errors import DesignError, IntegrationError
-from ndob_fmu.runtime.integrate import integrate
+from ndob_fmu.runtime.integrate import MOST_SUBSTEPS, integrate
 from ndob_fmu.runtime.kalman import Update, gain_change, predict, update
 from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate, numbers
@@ -31,6 +32,7 @@ from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 ORDERS = tuple(range(HIGHEST_ORDER + 1))
 _AT_REST = 1e-7
+_LARGEST_GROWTH = 700.0  # e^700 is nearly the largest number
 # A sample is refused where it lies further from its prediction than this many standard deviations, twice what the class
 # of disturbances always does, and what a jump of d by 2 D₀ could have led to since the sample before, together. After
 # so many refusals in a row it is the estimate that must be wrong: it starts anew.
@@ -84,7 +86,7 @@ class SampledObserver:
     def possible(self, state: SampledState, elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, whenever that is."""
         c = state.confidence
-        values = np.array([*state.xi_hat, *state.d_hat, *state.u, *c.d_std, c.tuned_at])
+        values = np.array([*state.xi_hat, *state.d_hat, *state.u, *c.d_std, c.tuned_at, c.waited])
         return (
             bool(
                 np.all(np.isfinite(values)) and np.all(np.isfinite(c.factor)) and not np.any(np.isnan(state.deviation))
@@ -92,6 +94,7 @@ class SampledObserver:
             and not any(state.xi_hat[len(self.system.A) :])
             and min(c.d_std, default=0.0) >= 0.0
             and c.tuned_at >= 0.0
+            and c.waited >= 0.0
             and 0 <= c.refused <= _MOST_REFUSALS
             and 0 <= c.age <= self._start_up
         )
@@ -196,7 +199,14 @@ class SampledObserver:
         )
 
     def step_by_definition(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
-        """Do what `step` does for every state and every sample."""
+        """Do what `step` does for every state and every sample.
+
+        Raises IntegrationError where the step is too long to predict over, DesignError where it has no design.
+        """
+        if not self._longest_step >= H:
+            raise IntegrationError.report(
+                "communication step", expected=f"at most {self._longest_step:.3g} s", received=f"{H:g} s"
+            )
         plan = sampling(H, state.confidence.tuned_at, state.confidence.waited, self.equations.experiment.step_size)
         inputs = tuple(map(float, u))
         if not np.all(np.isfinite(inputs)):
@@ -317,6 +327,18 @@ class SampledObserver:
         sample = np.array(y, dtype=float)
         finite = bool(np.all(np.isfinite(sample)))
         return (sample - self.system.C @ xi_hat if finite else np.zeros(len(sample))), finite
+
+    @cached_property
+    def _longest_step(self) -> float:
+        """The longest step (s) that is worth a try.
+
+        Over a longer one errors could grow beyond the largest number, by the plant's fastest mode and ‖G_f‖ γ, or the
+        integrator, which is stable for |λ| h < 4, would need too many substeps.
+        """
+        modes = np.linalg.eigvals(self.system.linear.A)
+        growth = max(0.0, float(np.max(modes.real))) + self.system.linear.f_rate(self.equations.lipschitz)
+        fastest = float(np.max(np.abs(modes)))
+        return min(_LARGEST_GROWTH / growth if growth else np.inf, 4.0 * MOST_SUBSTEPS / fastest if fastest else np.inf)
 
     @property
     def _n(self) -> int:
