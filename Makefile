@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench docs regression exits soak importers tools clean
+.PHONY: demo test build lint bench docs regression exits soak importers tools windows clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -51,6 +51,10 @@ importers: .venv/installed-test build
 
 tools: .venv/installed-test
 	$(BIN)/python tests/tools_page.py
+
+windows: .venv/installed-test build
+	$(BIN)/python -m tests.windows.machine
+	$(BIN)/python -m pytest tests/windows/in_wine.py
 
 clean:
 	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis

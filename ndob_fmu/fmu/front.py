@@ -1,8 +1,8 @@
-"""The front of an FMU on Linux: a small C library that lets native hosts load what pythonfmu built.
+"""The front of an FMU: a small C library between a host and pythonfmu's binary, for Linux and for Windows.
 
-It lies where the host looks for the FMU's binary, pythonfmu's own beside it, and its sources in `front/`. Compiled
-here with the system's compiler; without one the FMU keeps pythonfmu's binary in its place, and what the front does is
-lost.
+It lies where the host looks for the FMU's binary, pythonfmu's own beside it, and its sources in `front/`. The build
+compiles it: for Linux with the system's compiler, for Windows with a MinGW cross compiler. Without the compiler of a
+platform the FMU keeps pythonfmu's binary there, and what the front does is lost.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sysconfig
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
@@ -28,47 +29,90 @@ _log = logging.getLogger(__name__)
 
 SOURCES = Path(__file__).parent / "front"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-SLAVE_BINARY = "binaries/linux64/pythonfmu-export.so"
 DESCRIPTION = "resources/front.txt"
+# No path, no time and no name of this machine goes into a binary; -s drops the names of temporary files.
+_FLAGS = ("-std=gnu11", "-O2", "-shared", "-fvisibility=hidden", "-Wall", "-Wextra", "-s")
 
-_LOST = (
-    "the FMUs get no front for Linux: they load in Python processes only, guard no calls and must not lie in a folder "
-    "with ä # + [ ( , ' in its name; %s"
+
+@dataclass(frozen=True)
+class Platform:
+    """How the front is compiled for one of FMI's platforms, and what an FMU loses without it.
+
+    name: FMI's, of the folder in binaries/
+    suffix: of a library there
+    variable: the environment variable that names the compiler
+    compilers: the commands that are tried without it
+    other: the ending of the sources that are for another platform
+    """
+
+    name: str
+    suffix: str
+    variable: str
+    compilers: tuple[str, ...]
+    other: str
+    flags: tuple[str, ...]
+    libraries: tuple[str, ...]
+    lost: str
+
+    @property
+    def slave_binary(self) -> str:
+        """Where pythonfmu's own binary lies in an FMU that has a front."""
+        return f"binaries/{self.name}/pythonfmu-export{self.suffix}"
+
+
+LINUX = Platform(
+    name="linux64",
+    suffix=".so",
+    variable="CC",
+    compilers=("cc", "gcc", "clang"),
+    other="_windows.c",
+    flags=(
+        "-fPIC",
+        "-Wl,-z,nodelete",  # ecos closes the library while instances of it live on
+        "-Wl,--build-id=none",
+    ),
+    libraries=("-ldl", "-lpthread", "-lm"),
+    lost="the FMUs get no front for Linux: they load in Python processes only, guard no calls and must not lie in a "
+    "folder with ä # + [ ( , ' in its name; %s",
 )
-# No path, no time and no name of this machine goes into the binary; -s drops the names of temporary files.
-_FLAGS = (
-    "-std=gnu11",
-    "-O2",
-    "-fPIC",
-    "-shared",
-    "-Wl,-z,nodelete",  # ecos closes the library while instances of it live on
-    "-fvisibility=hidden",
-    "-Wall",
-    "-Wextra",
-    "-Wl,--build-id=none",
-    "-s",
+WINDOWS = Platform(
+    name="win64",
+    suffix=".dll",
+    variable="CC_WIN64",
+    compilers=("x86_64-w64-mingw32-gcc",),
+    other="_linux.c",
+    flags=(
+        "-static",
+        "-D__USE_MINGW_ANSI_STDIO=1",
+        "-D_WIN32_WINNT=0x0602",  # Windows 8
+        "-Wno-format",  # it takes %zu for unknown
+        "-Wl,--no-insert-timestamp",
+        "-Wl,--disable-auto-image-base",  # which depends on the path of the output
+    ),
+    libraries=(),
+    lost="the FMUs get no front for Windows: there they find only a Python on PATH, guard no calls and must not lie in "
+    "a folder with ä # ' in its name; %s",
 )
 _TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B", "String": "S"}
 
 
 def with_front(contents: Mapping[str, bytes], root: ET.Element) -> dict[str, bytes]:
-    """Return the FMU's files with the front before pythonfmu's binary; `root` is the finished model description.
+    """Return the FMU's files with fronts before pythonfmu's binaries; `root` is the finished model description.
 
-    Off x86-64 Linux, and with a warning where nothing compiles, the files are returned as they are.
+    The one for Linux is built on x86-64 Linux only. Where nothing compiles a front there is a warning.
     """
     simulation = root.find("CoSimulation")
     if simulation is None:
         raise LookupError("pythonfmu wrote a model description without <CoSimulation>")
-    binary = f"binaries/linux64/{simulation.get('modelIdentifier')}.so"
-    front = compiled() if (sys.platform, platform.machine()) == ("linux", "x86_64") else None
-    if front is None:
-        return dict(contents)
-    return {
-        **contents,
-        binary: front,
-        SLAVE_BINARY: contents[binary],
-        DESCRIPTION: description(root, contents).encode(),
-    }
+    here = (sys.platform, platform.machine()) == ("linux", "x86_64")
+    result = dict(contents)
+    for target in (LINUX, WINDOWS) if here else (WINDOWS,):
+        binary = f"binaries/{target.name}/{simulation.get('modelIdentifier')}{target.suffix}"
+        front = compiled(target) if binary in contents else None
+        if front is not None:
+            result |= {binary: front, target.slave_binary: contents[binary]}
+            result[DESCRIPTION] = description(root, contents).encode()
+    return result
 
 
 def description(root: ET.Element, contents: Mapping[str, bytes]) -> str:
@@ -109,24 +153,24 @@ def building_python() -> dict[str, str]:
     }
 
 
-def compiled() -> bytes | None:
+def compiled(target: Platform = LINUX) -> bytes | None:
     """Return the front's binary, compiled once per process; None, with a warning, if that cannot be done."""
-    return _compiled(os.environ.get("CC", ""))
+    return _compiled(target, os.environ.get(target.variable, ""))
 
 
 @functools.cache
-def _compiled(wish: str) -> bytes | None:
-    compiler = shlex.split(wish) or [name for name in ("cc", "gcc", "clang") if shutil.which(name)][:1]
+def _compiled(target: Platform, wish: str) -> bytes | None:
+    compiler = shlex.split(wish) or [name for name in target.compilers if shutil.which(name)][:1]
     if not compiler or not shutil.which(compiler[0]):
-        missing = f"CC={wish}, which is not here" if wish else "neither CC, cc, gcc nor clang"
-        _log.warning(_LOST, f"expected a C compiler, received {missing}")
+        tried = f"{target.variable}={wish}, which is not here" if wish else f"none of {', '.join(target.compilers)}"
+        _log.warning(target.lost, f"expected a C compiler, received {tried}")
         return None
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
-        target = Path(work, "front.so")
-        sources = sorted(path.name for path in SOURCES.glob("*.c"))
-        command = [*compiler, *_FLAGS, f"-ffile-prefix-map={SOURCES}=.", "-I", str(HEADERS), *sources]
+        binary = Path(work, f"front{target.suffix}")
+        sources = sorted(path.name for path in SOURCES.glob("*.c") if not path.name.endswith(target.other))
+        command = [*compiler, *_FLAGS, *target.flags, f"-ffile-prefix-map={SOURCES}=.", "-I", str(HEADERS), *sources]
         done = subprocess.run(
-            [*command, "-o", str(target), "-ldl", "-lpthread", "-lm"],
+            [*command, "-o", str(binary), *target.libraries],
             cwd=SOURCES,
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -134,8 +178,8 @@ def _compiled(wish: str) -> bytes | None:
             errors="replace",
             check=False,
         )
-        if done.returncode != 0 or not target.exists():
+        if done.returncode != 0 or not binary.exists():
             said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
-            _log.warning(_LOST, f"expected {compiler[0]} to compile it, received {said}")
+            _log.warning(target.lost, f"expected {compiler[0]} to compile it, received {said}")
             return None
-        return target.read_bytes()
+        return binary.read_bytes()

@@ -20,15 +20,19 @@
 #define _GNU_SOURCE
 #include "fmi2Functions.h"
 
+#ifdef _WIN32
+#include "windows.h"
+#else
 #include <dlfcn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+#endif
 #include <fenv.h>
 #include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/wait.h>
 #include <time.h>
-#include <unistd.h>
 
 static const char *const STATUS[] = {"OK", "Warning", "Discard", "Error", "Fatal", "Pending"};
 static void *library;
@@ -90,6 +94,7 @@ static void *storm(void *times) {
     return NULL;
 }
 
+#ifndef _WIN32 /* has no fork */
 static volatile int stepping;
 
 static void *endless(void *instance) {
@@ -130,7 +135,12 @@ static void forks(int times, int steps) {
     printf("OK %d refused %d hung %d ", ends[0], ends[1], times - ends[0] - ends[1] - ends[2]);
 }
 
+#endif
+
 int main(int count, char *words[]) {
+#ifdef _WIN32
+    words = utf8_words(&count);
+#endif
     if (count != 4 || !(library = dlopen(words[1], RTLD_NOW | RTLD_LOCAL))) return fprintf(stderr, "%s\n", dlerror()), 2;
     const char *uri = strcmp(words[2], "-") ? words[2] : NULL;
     fmi2CallbackFunctions callbacks = {logger, calloc, free, NULL, NULL};
@@ -140,7 +150,7 @@ int main(int count, char *words[]) {
     fmi2FMUstate state = NULL;
     double time = 0.0;
     static char bytes[1 << 20];
-    setvbuf(stdout, NULL, _IOLBF, 0);
+    setvbuf(stdout, NULL, _IONBF, 0);
     for (char line[8192]; fgets(line, sizeof line, stdin);) {
         char *word[8] = {0}, *rest = line;
         line[strcspn(line, "\n")] = '\0';
@@ -166,9 +176,11 @@ int main(int count, char *words[]) {
             pthread_t one, other;
             pthread_create(&one, NULL, storm, &times), pthread_create(&other, NULL, storm, &times);
             pthread_join(one, NULL), pthread_join(other, NULL);
+#ifndef _WIN32
         } else if (IS("fork")) {
             guid_of_all = words[3], uri_of_all = uri, callbacks_of_all = callbacks;
             forks(atoi(word[1]), strcmp(word[2], "steps") == 0);
+#endif
         } else if (IS("at")) c = places[atoi(word[1])];
         else if (IS("setup")) status = CALL(SetupExperiment)(c, 0, 0.0, atof(word[1]), word[2] != NULL, word[2] ? atof(word[2]) : 0.0);
         else if (IS("enter")) status = CALL(EnterInitializationMode)(c);

@@ -8,7 +8,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
-#include <unistd.h>
 
 static char *joined(const char *folder, const char *name) {
     char *path = malloc(strlen(folder) + strlen(name) + 2);
@@ -20,9 +19,9 @@ static char *joined(const char *folder, const char *name) {
 static const char *without_scheme(const char *location) {
     if (strncasecmp(location, "file:", 5) != 0) return location;
     const char *path = location + 5;
-    if (strncmp(path, "//", 2) != 0) return path;
+    if (strncmp(path, "//", 2) != 0) return path_of_uri(path);
     path += 2;
-    return strncasecmp(path, "localhost/", 10) == 0 ? path + 9 : path;
+    return path_of_uri(strncasecmp(path, "localhost/", 10) == 0 ? path + 9 : path);
 }
 
 static int digit(char c) { return isdigit((unsigned char)c) ? c - '0' : tolower((unsigned char)c) - 'a' + 10; }
@@ -43,7 +42,7 @@ static void decode_percent(char *text) {
 
 static char *folder_with_description(const char *path) {
     char *file = joined(path, "front.txt");
-    char *folder = file && access(file, R_OK) == 0 ? realpath(path, NULL) : NULL;
+    char *folder = file && can_read(file) ? real_folder(path) : NULL;
     free(file);
     return folder;
 }
@@ -72,7 +71,7 @@ char *resources_folder(const char *location, char *reason, size_t size) {
 }
 
 static char *whole_file(const char *path) {
-    FILE *file = fopen(path, "rbe");
+    FILE *file = file_open(path);
     if (!file) return NULL;
     size_t used = 0, room = 1 << 14;
     char *text = malloc(room);
@@ -104,7 +103,7 @@ static bool add_variable(Description *description, size_t *room, const char *val
 static bool complete(const char *folder, char *files, const char *entry, char *reason, size_t size) {
     for (char *name; (name = strsep(&files, "|"));) {
         char *path = joined(folder, name);
-        bool there = path && access(path, R_OK) == 0;
+        bool there = path && can_read(path);
         free(path);
         if (there) continue;
         snprintf(reason, size, "%s: expected the file %s of the build, received none that can be read", folder, name);

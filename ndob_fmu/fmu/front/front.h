@@ -7,6 +7,7 @@
 #define NDOB_FRONT_H
 
 #include "fmi2Functions.h"
+#include "platform.h"
 
 #include <fenv.h>
 #include <stdatomic.h>
@@ -67,7 +68,7 @@ void python_take_pending(void);
 void python_raise_taken(void);
 void python_leave(void);
 
-/* -- interrupts.c */
+/* -- interrupts_linux.c, platform_windows.c */
 
 void interrupts_hold_back(void); /* from now on, where Python handles them, during calls on the main thread */
 void interrupts_give_back(void);
@@ -166,7 +167,7 @@ typedef struct {
     fmi2CallbackFunctions callbacks; /* pythonfmu keeps the pointer */
     Log log;
     Description description;
-    int folder; /* kept open where pythonfmu reads the resources through it, else -1 */
+    int folder; /* what slave_location keeps open */
     Progress progress;
 } Instance;
 

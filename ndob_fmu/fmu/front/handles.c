@@ -2,10 +2,9 @@
  * come with a handle that was freed, or is another FMU's, or was never one. */
 #include "front.h"
 
-#include <pthread.h>
 #include <stdlib.h>
 
-static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+static Lock lock = UNLOCKED;
 static uint64_t serial;
 
 #define SLOT_BITS 16
@@ -21,7 +20,7 @@ static uint64_t mixed(uint64_t x) {
 }
 
 void *handle_new(Handles *handles, void *object) {
-    pthread_mutex_lock(&lock);
+    lock_acquire(&lock);
     Slot *found = NULL;
     uintptr_t index = 0;
     for (; handles->next < SLOTS && !found; handles->next++) {
@@ -43,7 +42,7 @@ void *handle_new(Handles *handles, void *object) {
         atomic_flag_clear(&found->busy);
         atomic_store(&found->handle, handle);
     }
-    pthread_mutex_unlock(&lock);
+    lock_release(&lock);
     return (void *)handle;
 }
 
@@ -62,13 +61,13 @@ void handles_each(Handles *handles, void (*function)(Slot *)) {
     }
 }
 
-void handles_after_fork(void) { pthread_mutex_init(&lock, NULL); }
+void handles_after_fork(void) { lock_renew(&lock); }
 
 void handle_free(Handles *handles, Slot *slot) {
-    pthread_mutex_lock(&lock);
+    lock_acquire(&lock);
     uintptr_t index = (uintptr_t)atomic_load(&slot->handle) & (SLOTS - 1);
     if (index < handles->next) handles->next = index;
     slot->object = NULL;
     atomic_store(&slot->handle, 0);
-    pthread_mutex_unlock(&lock);
+    lock_release(&lock);
 }

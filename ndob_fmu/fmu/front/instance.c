@@ -2,84 +2,53 @@
 #define _GNU_SOURCE
 #include "front.h"
 
-#include <dlfcn.h>
-#include <fcntl.h>
-#include <limits.h>
 #include <math.h>
-#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
-
-#define SLAVE_BINARY "pythonfmu-export.so"
-#define FILE_SCHEME "file://"
 
 Slave slave;
 static _Atomic int living;
-static pthread_mutex_t loading = PTHREAD_MUTEX_INITIALIZER;
-static char own_folder[PATH_MAX];
-
-/* Where this library lies; asked while it is loaded: its name may be relative to a folder that the host leaves. */
-__attribute__((constructor)) static void note_own_folder(void) {
-    Dl_info self;
-    char path[PATH_MAX];
-    if (!dladdr((void *)&slave, &self) || !realpath(self.dli_fname, path)) return;
-    *strrchr(path, '/') = '\0';
-    strcpy(own_folder, path);
-}
+static Lock loading = UNLOCKED;
 
 /* Before pythonfmu's static objects are destroyed, after which its own call of this frees one of them twice. */
 static void finish(void) {
     if (slave.finalize && !python_is_orphaned()) slave.finalize();
-    if (slave.library && !living && !python_is_orphaned()) dlclose(slave.library);
+    if (slave.library && !living && !python_is_orphaned()) library_close(slave.library);
     slave = (Slave){0};
     python_leave();
 }
 
 /* After Python is there: the binary takes its symbols from the process. */
 static bool load_slave(char *reason, size_t size) {
-    pthread_mutex_lock(&loading);
+    char said[1024] = "a binary without FMI's functions";
+    lock_acquire(&loading);
     if (!slave.library) {
-        char path[PATH_MAX + sizeof SLAVE_BINARY];
-        snprintf(path, sizeof path, "%s/" SLAVE_BINARY, own_folder);
-        Slave loaded = {.library = dlopen(path, RTLD_NOW | RTLD_LOCAL)};
+        Slave loaded = {.library = slave_library(said, sizeof said)};
         bool complete = loaded.library != NULL;
         if (complete) {
-            loaded.finalize = (void (*)(void))dlsym(loaded.library, "finalizePythonInterpreter");
-#define F(name) complete = complete && (loaded.name = (fmi2##name##TYPE *)dlsym(loaded.library, "fmi2" #name));
+            loaded.finalize = (void (*)(void))library_symbol(loaded.library, "finalizePythonInterpreter");
+#define F(name) \
+    complete = complete && (loaded.name = (fmi2##name##TYPE *)library_symbol(loaded.library, "fmi2" #name));
             SLAVE_FUNCTIONS(F)
 #undef F
         }
         if (complete) {
             slave = loaded;
-            atexit(finish); /* in a library: at its unloading or at the end of the process, whichever comes first */
+            at_end(finish);
         } else {
-            snprintf(reason, size, "expected pythonfmu's binary beside the FMU's, received %s", dlerror());
+            snprintf(reason, size, "expected pythonfmu's binary beside the FMU's, received %s", said);
         }
     }
-    pthread_mutex_unlock(&loading);
+    lock_release(&loading);
     return slave.library != NULL;
 }
 
 static void discard(Instance *self) {
     description_free(&self->description);
-    if (self->folder >= 0) close(self->folder);
+    slave_location_close(self->folder);
     free(self->log.name);
     free(self);
-}
-
-/* Return the location in the one form that pythonfmu reads; it takes a literal %20 for a space, and decodes UTF-8. */
-static char *slave_location(Instance *self, const char *folder) {
-    char *location = malloc(strlen(folder) + 64);
-    if (!location) return NULL;
-    if (strstr(folder, "%20") || !python_finds(folder)) {
-        self->folder = open(folder, O_PATH | O_DIRECTORY | O_CLOEXEC);
-        sprintf(location, FILE_SCHEME "/proc/self/fd/%d", self->folder);
-    } else {
-        sprintf(location, FILE_SCHEME "%s", folder);
-    }
-    return location;
 }
 
 /* The last instance is gone. */
@@ -88,18 +57,9 @@ static void left_by_all(void) {
     python_drop_thread();
 }
 
-static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char *location, char **folder) {
+/* Whether the GUID is right, a Python runs and pythonfmu's binary is loaded; else with a message. */
+static bool usable(Instance *self, fmi2String guid) {
     char reason[4096], warning[4096];
-    if (type != fmi2CoSimulation) {
-        log_line(&self->log, fmi2Error, "fmi2Instantiate: expected fmi2CoSimulation, received %s",
-                 type == fmi2ModelExchange ? "fmi2ModelExchange" : "an unknown type");
-        return false;
-    }
-    if (!(*folder = resources_folder(location, reason, sizeof reason))
-        || !description_read(&self->description, *folder, reason, sizeof reason)) {
-        log_line(&self->log, fmi2Error, "fmi2Instantiate: %s", reason);
-        return false;
-    }
     if (!guid || strcmp(guid, self->description.guid) != 0) {
         log_line(
             &self->log, fmi2Error,
@@ -128,6 +88,23 @@ static bool prepared(Instance *self, fmi2Type type, fmi2String guid, const char 
         return false;
     }
     return true;
+}
+
+/* Have all that pythonfmu needs; return the location that it gets (malloc), or NULL with a message. */
+static char *prepared(Instance *self, fmi2Type type, fmi2String guid, const char *location) {
+    char reason[4096] = "";
+    if (type != fmi2CoSimulation) {
+        log_line(&self->log, fmi2Error, "fmi2Instantiate: expected fmi2CoSimulation, received %s",
+                 type == fmi2ModelExchange ? "fmi2ModelExchange" : "an unknown type");
+        return NULL;
+    }
+    char *folder = resources_folder(location, reason, sizeof reason);
+    bool described = folder && description_read(&self->description, folder, reason, sizeof reason);
+    if (!described) log_line(&self->log, fmi2Error, "fmi2Instantiate: %s", reason);
+    char *found = described && usable(self, guid) ? slave_location(folder, &self->folder, reason, sizeof reason) : NULL;
+    if (described && !found && *reason) log_line(&self->log, fmi2Error, "fmi2Instantiate: %s", reason);
+    free(folder);
+    return found;
 }
 
 /* Have pythonfmu make the slave; NULL, with a message, if it does not. */
@@ -167,18 +144,17 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         (fmi2CallbackFunctions){log_from_slave, functions->allocateMemory, functions->freeMemory, NULL, &self->log};
     self->progress = (Progress){.mode = INSTANTIATED};
     python_entered();
-    char *folder = NULL, *slave_folder = NULL;
+    char *slave_folder = NULL;
     void *handle = NULL;
     if (!named) {
         log_line(&self->log, fmi2Error, "fmi2Instantiate: instanceName: expected a name in UTF-8, received %s",
                  name ? (*name ? "other bytes" : "an empty string") : "NULL");
-    } else if (prepared(self, type, guid, location, &folder) && (slave_folder = slave_location(self, folder))) {
+    } else if ((slave_folder = prepared(self, type, guid, location))) {
         if (!living && python_is_the_hosts()) interrupts_hold_back();
         self->slave = made(self, name, guid, slave_folder, visible);
         if (self->slave && !(handle = handle_new(&instances, self))) slave.FreeInstance(self->slave);
     }
     python_left();
-    free(folder);
     free(slave_folder);
     if (!handle) {
         if (!living) left_by_all();
@@ -214,7 +190,7 @@ static void orphan_if_busy(Slot *slot) {
 }
 
 void instances_after_fork(bool usable) {
-    pthread_mutex_init(&loading, NULL);
+    lock_renew(&loading);
     handles_each(&instances, usable ? orphan_if_busy : orphan);
 }
 

@@ -3,7 +3,6 @@
 #include "front.h"
 
 #include <math.h>
-#include <pthread.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -27,7 +26,7 @@ typedef struct {
 
 static const char MAGIC[8] = "NDOBST1";
 static Handles states;
-static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of users, owners and their lists; not held in the slave */
+static Lock lock = UNLOCKED; /* of users, owners and their lists; not held in the slave */
 
 static uint64_t hashed(const void *data, size_t size, uint64_t hash) {
     for (const unsigned char *byte = data; size; size--, byte++) hash = (hash ^ *byte) * 0x100000001b3u; /* FNV-1a */
@@ -45,11 +44,11 @@ static uint64_t content_hash(const Progress *progress, const void *bytes, size_t
 
 /* Return the state behind the handle, in use until it is dropped; NULL, with a message, if it is none. */
 static State *taken(Instance *self, const char *function, fmi2FMUstate handle) {
-    pthread_mutex_lock(&lock);
+    lock_acquire(&lock);
     Slot *slot = handle_slot(&states, handle);
     State *state = slot ? slot->object : NULL;
     if (state) state->users++;
-    pthread_mutex_unlock(&lock);
+    lock_release(&lock);
     if (!state)
         log_line(&self->log, fmi2Error,
                  "%s: expected an FMU state that was got from this FMU and not freed, received %s", function,
@@ -58,9 +57,9 @@ static State *taken(Instance *self, const char *function, fmi2FMUstate handle) {
 }
 
 static void drop(Instance *self, State *state) {
-    pthread_mutex_lock(&lock);
+    lock_acquire(&lock);
     bool last = --state->users == 0;
-    pthread_mutex_unlock(&lock);
+    lock_release(&lock);
     if (!last) return;
     if (self->progress.mode != ORPHANED) slave.FreeFMUstate(self->slave, &state->slave);
     free(state);
@@ -86,17 +85,17 @@ static bool given(Instance *self, const char *function, const void *place) {
     return false;
 }
 
-void states_after_fork(void) { pthread_mutex_init(&lock, NULL); }
+void states_after_fork(void) { lock_renew(&lock); }
 
 void states_free(Instance *self) {
     for (;;) {
-        pthread_mutex_lock(&lock);
+        lock_acquire(&lock);
         State *state = self->states;
         if (state) {
             disown(state);
             handle_free(&states, state->slot);
         }
-        pthread_mutex_unlock(&lock);
+        lock_release(&lock);
         if (!state) return;
         drop(self, state);
     }
@@ -107,7 +106,7 @@ static bool keep(Instance *self, fmi2FMUstate *handle, fmi2FMUstate made, Progre
     State *state = calloc(1, sizeof *state), *before = NULL;
     if (state) {
         *state = (State){.owner = self, .users = 1, .slave = made, .progress = progress};
-        pthread_mutex_lock(&lock);
+        lock_acquire(&lock);
         state->slot = handle_slot(&states, *handle);
         if (state->slot) {
             before = state->slot->object;
@@ -119,7 +118,7 @@ static bool keep(Instance *self, fmi2FMUstate *handle, fmi2FMUstate made, Progre
             state->slot = name ? handle_slot(&states, name) : NULL;
         }
         if (state->slot) own(state);
-        pthread_mutex_unlock(&lock);
+        lock_release(&lock);
     }
     if (before) drop(self, before);
     if (state && state->slot) return true;
@@ -156,13 +155,13 @@ fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *handle) {
     if (!handle || !*handle) return leave(self, fmi2OK);
     State *state = taken(self, __func__, *handle);
     if (!state) return leave(self, fmi2Error);
-    pthread_mutex_lock(&lock);
+    lock_acquire(&lock);
     bool kept = state->slot->object == state; /* no other thread has freed or overwritten it meanwhile */
     if (kept) {
         disown(state);
         handle_free(&states, state->slot);
     }
-    pthread_mutex_unlock(&lock);
+    lock_release(&lock);
     if (kept) drop(self, state);
     drop(self, state);
     *handle = NULL;

@@ -8,7 +8,6 @@
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -17,18 +16,6 @@
 #include <unistd.h>
 
 #define PROBE_SECONDS 30
-
-void add_reason(Reasons *reasons, const char *format, ...) {
-    va_list arguments;
-    va_start(arguments, format);
-    if (reasons->used)
-        reasons->used += (size_t)snprintf(reasons->text + reasons->used, reasons->size - reasons->used, "; ");
-    if (reasons->used < reasons->size)
-        reasons->used +=
-            (size_t)vsnprintf(reasons->text + reasons->used, reasons->size - reasons->used, format, arguments);
-    va_end(arguments);
-    if (reasons->used >= reasons->size) reasons->used = reasons->size - 1;
-}
 
 static void set(char *to, const char *from) { snprintf(to, PATH_MAX, "%s", from); }
 
