@@ -22,8 +22,9 @@ def generated(model):
     eq = model.equations
     n, p, q = len(eq.states), len(eq.outputs), len(eq.disturbances)
     constants = eq.steps.observer_constants(model.parameter_values())
-    gate, d_std, gain = [1.0] * p, [0.1] * q, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
-    xi_hat, inputs, frozen = (0.0,) * (n + HIGHEST_ORDER * q), [0.1] * (len(eq.inputs) + p), (*gate, *d_std, *gain)
+    gate, d_std, residual_std, gain = [1.0] * p, [0.1] * q, [0.1] * p, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
+    xi_hat, inputs = (0.0,) * (n + HIGHEST_ORDER * q), [0.1] * (len(eq.inputs) + p)
+    frozen = (*gate, *d_std, *residual_std, *gain)
     assert eq.steps.observer_step(xi_hat, inputs, constants, frozen, STEP) is not None
 
     def steps():

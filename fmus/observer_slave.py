@@ -104,5 +104,6 @@ def _outputs(estimate: Estimate) -> list[Any]:
         *estimate.d_at_sample,
         *estimate.d_std,
         *estimate.residual,
+        *estimate.residual_std,
         estimate.valid,
     ]

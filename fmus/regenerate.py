@@ -149,10 +149,10 @@ def observer_reference(observer: Any, inputs: Recording) -> Recording:
     names = (
         *(f"{state}_hat" for state in STATES),
         *("load_torque_hat", "load_torque_at_sample", "load_torque_std"),
-        *(f"{output}_residual" for output in OUTPUTS),
+        *(f"{output}{suffix}" for suffix in ("_residual", "_residual_std") for output in OUTPUTS),
         "valid",
     )
-    rows = [[*e.x_hat, *e.d_hat, *e.d_at_sample, *e.d_std, *e.residual, e.valid] for e in estimates]
+    rows = [[*e.x_hat, *e.d_hat, *e.d_at_sample, *e.d_std, *e.residual, *e.residual_std, e.valid] for e in estimates]
     every = round(OUTPUT_INTERVAL / OBSERVER_STEP)
     return Recording(
         inputs.time[::every], names, np.array(rows, dtype=float)[::every], (*["Real"] * (len(names) - 1), "Boolean")

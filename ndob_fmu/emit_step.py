@@ -95,8 +95,9 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
     """Return the step from a usual sample with the gain at rest, as `Steps` has it."""
     p, q = len(rhs.outputs), len(rhs.d)
     delta = symbols("q", HIGHEST_ORDER * q)
-    d_std, usual, gain, y = (
+    d_std, residual_std, usual, gain, y = (
         symbols("s", q),
+        symbols("v", p),
         symbols("z", p),
         symbols("K", (len(rhs.x) + len(delta)) * p),
         symbols("y", p),
@@ -129,7 +130,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
     return [
         *_unpacked([*rhs.x, *delta], "_xi"),
         *_unpacked([*u, *y], "_inputs"),
-        *_unpacked([*usual, *d_std, *gain], "_r"),
+        *_unpacked([*usual, *d_std, *residual_std, *gain], "_r"),
         *_assigned(update.residuals),
         f"if not ({' and '.join(f'-{most} <= {error} <= {most}' for error, most in zip(e, usual, strict=True))}):",
         "    return None",
@@ -176,7 +177,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         "    if _h >= _left * _ALMOST:",
         "        _h = _left",
         *_assigned(moved),
-        f"_outputs = {tuple_text([*map(python_text, [*rhs.x, *d_1, *d_at, *d_std, *e]), 'True'])}",
+        f"_outputs = {tuple_text([*map(python_text, [*rhs.x, *d_1, *d_at, *d_std, *e, *residual_std]), 'True'])}",
         f"return {_values([*rhs.x, *delta])}, _outputs, _at, {_values(e)}, {_values(u)}, {_values(d_1)}",
     ]
 

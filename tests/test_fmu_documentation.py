@@ -231,7 +231,8 @@ def test_the_page_lists_every_variable_with_unit_start_and_range():
 def test_the_page_says_which_instant_each_output_belongs_to(name):
     model = MODELS[name]
     plant, observer = rows_of(page(model, "Plant")), rows_of(page(model, "Observer"))
-    at_sample = {"valid", *(f"{d}_at_sample" for d in model.disturbances), *(f"{y}_residual" for y in model.outputs)}
+    at_sample = {"valid", *(f"{d}_at_sample" for d in model.disturbances)}
+    at_sample |= {f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")}
     for rows, variables in ((plant, plant_variables), (observer, observer_variables)):
         for variable in variables(model.equations):
             if variable.causality == "output":

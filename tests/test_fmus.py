@@ -175,6 +175,7 @@ def test_the_observer_is_its_core_to_the_last_bit(flexible_joint, method, make):
             assert [got["load_torque_at_sample"]] == list(estimate.d_at_sample)
             assert [got["load_torque_std"]] == list(estimate.d_std)
             assert [got["motor_angle_residual"], got["link_angle_residual"]] == list(estimate.residual)
+            assert [got["motor_angle_residual_std"], got["link_angle_residual_std"]] == list(estimate.residual_std)
             assert got["valid"] == estimate.valid
 
 

@@ -130,6 +130,7 @@ def test_the_observers_step_is_the_definitions_over_random_states_and_samples(na
     for field in ("factor", "d_std", "at_rest", "tuned_at", "refused", "age"):
         np.testing.assert_array_equal(getattr(after.confidence, field), getattr(by_definition.confidence, field))
     assert estimate.d_std == estimate_by_definition.d_std
+    assert estimate.residual_std == estimate_by_definition.residual_std
     assert estimate.valid
     assert estimate_by_definition.valid
 

@@ -310,14 +310,24 @@ def test_a_sample_belongs_to_the_start_of_a_step_unless_its_driver_has_stepped_b
     assert np.isnan(lines["residual of angle"][1]).sum() == 1  # a gap where there was no sample
 
 
-@pytest.mark.parametrize("recorded", [True, False])
-def test_residuals_have_a_band_where_the_observer_says_what_to_expect_and_a_reason_where_it_does_not(recorded):
-    names = ["observer.d_hat", "observer.d_std", "observer.y_residual"] + ["observer.y_residual_std"] * recorded
-    columns = np.column_stack([np.zeros(4), np.ones(4), [0.1, -0.1, 0.5, 0.0], np.full(4, 0.2)])[:, : len(names)]
-    caption, lines = caption_and_lines(output_figures(Record(Recording(np.arange(4.0), tuple(names), columns))))
-    assert ("± 2 std expected" in lines) == recorded
-    assert ("75 % of the residuals" if recorded else "No band: the recording has no y_residual_std") in caption
-    if recorded:
+@pytest.mark.parametrize(
+    ("std", "words"),
+    [
+        (0.2, "75 % of the residuals"),
+        (0.0, "No band: y_residual_std is 0, for method 1"),
+        (None, "No band: the recording has no y_residual_std"),
+    ],
+)
+def test_residuals_have_a_band_where_the_observer_says_what_to_expect_and_a_reason_where_it_does_not(std, words):
+    names = ["observer.d_hat", "observer.d_std", "observer.y_residual"] + ["observer.y_residual_std"] * (
+        std is not None
+    )
+    columns = np.column_stack([np.zeros(4), np.ones(4), [0.1, -0.1, 0.5, 0.0], np.full(4, std or 0.0)])
+    recording = Recording(np.arange(4.0), tuple(names), columns[:, : len(names)])
+    caption, lines = caption_and_lines(output_figures(Record(recording)))
+    assert words in caption
+    assert ("± 2 std expected" in lines) == bool(std)
+    if std:
         assert set(np.abs(lines["± 2 std expected"][1])) == {0.4}
 
 

@@ -53,12 +53,14 @@ class Run:
             t += h
             x = plant.step(x, u, [0.0] * q, t)
             then = np.array(plant.disturbance(t, [0.0] * q))
-            rows.append((t, e.d_at_sample - true, e.d_hat - then, e.d_std, e.valid, e.d_hat))
+            score = np.array(e.residual) / e.residual_std
+            rows.append((t, e.d_at_sample - true, e.d_hat - then, e.d_std, e.valid, e.d_hat, score))
         self.time = np.array([row[0] for row in rows])
         self.at_sample, self.ahead, self.std = (np.array([row[i] for row in rows])[:, 0] for i in (1, 2, 3))
         self.all_ahead, self.all_std = np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
         self.valid = np.array([row[4] for row in rows])
         self.d_hat = np.array([row[5] for row in rows])[:, 0]
+        self.residual_score = np.array([row[6] for row in rows])
         self.state = state
 
 
@@ -68,6 +70,28 @@ def constant(value=2.0):
 
 def sine(frequency, amplitude=1.0, start=0.0):
     return [Generator(KINDS["sine"], amplitude, frequency, start)]
+
+
+# -- residuals
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+@pytest.mark.parametrize(("H", "sigma"), [(5e-3, 1e-4), (1e-2, 1e-3)])
+def test_residuals_are_as_large_as_the_observer_expects_them(order, H, sigma):
+    """From the first sample on, where the start is wrong by what it is said to be, and later in noise and a sine."""
+    observer = observer_of(order=order, noise_std=sigma, bound=[2.0])
+    run = Run(observer, sine(1.0, 2.0), H, 400 * H, sigma=sigma, seed=7)
+    np.testing.assert_allclose(run.residual_score[0], 1.0, atol=0.01)  # x₀ − x̂₀ is as large as hat_start_std
+    late = run.residual_score[60:]
+    # For r = 0 the sine shows in the residuals, and is no noise.
+    assert np.sqrt(np.mean(late**2)) == pytest.approx(1.0, abs=0.25 if order == 0 else 0.1)
+    assert np.mean(np.abs(late) < 2.0) > 0.92
+    assert np.mean(np.abs(run.residual_score[:60]) < 3.0) > 0.95
+
+
+def test_residuals_are_larger_than_expected_where_the_noise_is_larger_than_told():
+    run = Run(observer_of(noise_std=1e-4, bound=[2.0]), constant(), 5e-3, 2.0, sigma=5e-4, seed=3)
+    assert np.sqrt(np.mean(run.residual_score[60:] ** 2)) > 2.5
 
 
 # -- accuracy

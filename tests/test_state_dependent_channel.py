@@ -143,6 +143,7 @@ class Fixed:
             d_at_sample=tuple(w[0]),
             d_std=tuple(std),
             residual=(0.0, 0.0),
+            residual_std=(1.0, 1.0),
             valid=valid,
         )
 

@@ -26,7 +26,8 @@ _DIRECTION = (
 
 def manual(model: Model, part: Part, variables: Sequence[Variable]) -> str:
     """Return the page as HTML that needs neither network nor scripts."""
-    at_sample = {f"{d}_at_sample" for d in model.disturbances} | {f"{y}_residual" for y in model.outputs} | {"valid"}
+    at_sample = {f"{d}_at_sample" for d in model.disturbances} | {"valid"}
+    at_sample |= {f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")}
     own = _template(part.lower()).substitute(
         equations=_equations(model),
         variables=_tables(variables, at_sample),

@@ -55,8 +55,11 @@ class Panels:
             col=1,
         )
 
-    def band(self, panel: int, time: Array, low: Array, high: Array, name: str) -> None:
-        """Shade what lies between two signals (rows,), except where one of them is not finite."""
+    def band(self, panel: int, time: Array, low: Array, high: Array, name: str, *, edge: bool = False) -> None:
+        """Shade what lies between two signals (rows,), except where one of them is not finite.
+
+        edge: with lines around it, for a band that is drawn over a noisy signal.
+        """
         rows = np.union1d(thinned(low), thinned(high))
         usable = np.isfinite(low[rows]) & np.isfinite(high[rows])
         x: list[float | None] = []
@@ -73,7 +76,7 @@ class Panels:
             mode="lines",
             fill="toself",
             fillcolor=_BAND,
-            line={"width": 0.5, "color": _BAND},
+            line={"width": 1.0, "color": ESTIMATE["color"]} if edge else {"width": 0.5, "color": _BAND},
             hoverinfo="skip",
             row=panel,
             col=1,

@@ -142,15 +142,20 @@ def _output(record: Record, component: str, name: str) -> Figure:
             caption[-1] += ", beside the prediction, which is the sample minus its residual."
         caption += [_CUT] if limits else []
     last = 1 if measured is None else 2
+    panels.line(last, record.time, residual, f"residual of {name}", ERROR)
     std = record.get(f"{port}{_RESIDUAL}_std")
+    shown = [residual]
     if std is None:
         caption.append(f"No band: the recording has no {name}{_RESIDUAL}_std to expect the residual by.")
+    elif not std.any():
+        caption.append(f"No band: {name}{_RESIDUAL}_std is 0, for method 1 does not say what to expect.")
     else:
-        panels.band(last, record.time, -2.0 * std, 2.0 * std, "± 2 std expected")
-        usual = float(np.mean(np.abs(residual) <= 2.0 * std))
+        panels.band(last, record.time, -2.0 * std, 2.0 * std, "± 2 std expected", edge=True)
+        shown += [-2.0 * std, 2.0 * std]
+        known = np.isfinite(residual)
+        usual = float(np.mean(np.abs(residual[known]) <= 2.0 * std[known])) if known.any() else 0.0
         caption.append(f"{100 * usual:.3g} % of the residuals lie within the ±2 standard deviations that are expected.")
-    panels.line(last, record.time, residual, f"residual of {name}", ERROR)
-    panels.axis(last, f"residual [{unit}]", usual_range(residual, *([] if std is None else [-2.0 * std, 2.0 * std])))
+    panels.axis(last, f"residual [{unit}]", usual_range(*shown, usual=~_coasting(record, component)))
     caption.append(_shade_invalid(record, component, panels))
     return " ".join(filter(None, caption)), panels.figure
 

@@ -48,7 +48,7 @@ class Variable:
 def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
     """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them."""
     derived = {f"{s}{suffix}" for s in states for suffix in ("_hat", "_start", "_hat_start", "_hat_start_std")}
-    derived |= {f"{output}_residual" for output in outputs}
+    derived |= {f"{output}{suffix}" for output in outputs for suffix in ("_residual", "_residual_std")}
     derived |= {f"{d}{suffix}" for d in disturbances for suffix in ("_hat", "_at_sample", "_std", "_total")}
     return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "disturbance"}
 
@@ -94,6 +94,16 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         ]
     outputs += [
         _output(eq, f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,))
+        for y in eq.outputs
+    ]
+    outputs += [
+        _output(
+            eq,
+            f"{y}_residual_std",
+            y,
+            f"Standard deviation that {y}_residual is expected to have; 0 with method 1, which does not say",
+            minimum=0.0,
+        )
         for y in eq.outputs
     ]
     outputs.append(

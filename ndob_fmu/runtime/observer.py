@@ -15,6 +15,7 @@ class Estimate:
     x_hat (n,) and d_hat (q2,): predictions for the end of the step, x̂(t+H) and d̂(t+H);
     x_at_sample (n,), d_at_sample (q2,), residual (p,): x̂(t), d̂(t), y − C x̂ for the sample that the step began with;
     d_std (q2,): one-sigma error bar of d_hat;
+    residual_std (p,): standard deviation that the residual is expected to have, 0 where the method does not say;
     valid: False where that sample could not be used, so that the estimate coasts; the residual of a sample that is not
     finite is 0.
     """
@@ -25,6 +26,7 @@ class Estimate:
     d_at_sample: Vector
     d_std: Vector
     residual: Vector
+    residual_std: Vector
     valid: bool
 
 

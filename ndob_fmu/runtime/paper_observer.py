@@ -87,6 +87,7 @@ class PaperObserver:
             d_at_sample=numbers(d_hat),
             d_std=numbers(self._error_bar(state.elapsed)),
             residual=numbers(residual),
+            residual_std=(0.0,) * len(residual),
             valid=valid,
         )
 

@@ -76,12 +76,20 @@ class SampledDesign:
     def noise_std(self, *, ahead: bool = False) -> Array:
         """Return the standard deviation (q2,) that sample noise gives d̂, at the sample or a step `ahead` of it."""
         own = self.own
-        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
         if self.M_H is not None:
-            seen = np.hstack([own.C @ own.step @ factor, self.R_factor])
-            return np.asarray(np.linalg.norm(self.M_H @ seen, axis=1))
+            return np.asarray(np.linalg.norm(self.M_H @ self._innovation_noise(), axis=1))
+        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
         selector = own.selector @ (own.step if ahead else own.update)
         return np.asarray(np.linalg.norm(selector @ factor, axis=1))
+
+    def innovation_noise_std(self) -> Array:
+        """Return the standard deviation (p,) of y − C ξ̂⁻ at rest by the noise of this sample and of those before it."""
+        return np.asarray(np.linalg.norm(self._innovation_noise(), axis=1))
+
+    def _innovation_noise(self) -> Array:
+        own = self.own
+        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
+        return np.hstack([own.C @ own.step @ factor, self.R_factor])
 
     def bias_gain(self, *, ahead: bool = False) -> Array:
         """Return |E| (q2,q2): the constant error of d̂_i where d_j's r-th derivative (the first, for r = 0) is one."""

@@ -27,7 +27,7 @@ from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design, scaled_noise
 from ndob_fmu.runtime.sampled_state import Confidence, Numbers, SampledState, StepAtRest
 from ndob_fmu.runtime.sampling import Sampling, is_similar, sampling
-from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_std, tuned_intensities
+from ndob_fmu.runtime.tuning import Knowledge, from_pi, steady_residual_std, steady_std, tuned_intensities
 from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 ORDERS = tuple(range(HIGHEST_ORDER + 1))
@@ -63,6 +63,7 @@ class SampledObserver:
     _rest: Latest[StepAtRest | None] = field(default_factory=Latest, repr=False, compare=False)
     _fades: Latest[bool] = field(default_factory=Latest, repr=False, compare=False)
     _steady_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
+    _steady_residual_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
 
     def init(self, x_hat: Vector) -> SampledState:
         """Return the state before the first sample, from x̂₀ (n,)."""
@@ -113,6 +114,7 @@ class SampledObserver:
     def estimate(self, state: SampledState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
         residual, finite = self._residual(self._xi(state), y)
+        seen = np.linalg.norm(self.system.C @ state.confidence.factor, axis=1)
         return Estimate(
             x_hat=state.xi_hat[: self._n],
             d_hat=state.d_hat,
@@ -120,6 +122,7 @@ class SampledObserver:
             d_at_sample=state.d_hat,
             d_std=state.confidence.d_std,
             residual=numbers(residual),
+            residual_std=numbers(np.hypot(seen, np.diag(self.known.R_factor))),
             valid=finite,
         )
 
@@ -137,6 +140,7 @@ class SampledObserver:
             d_at_sample=outputs[n + q : n + 2 * q],
             d_std=after.confidence.d_std,
             residual=after.deviation,
+            residual_std=outputs[-1 - len(after.deviation) : -1],
             valid=True,
         )
 
@@ -181,11 +185,12 @@ class SampledObserver:
         K = np.vstack([design.rest.K, np.zeros((missing, len(self.system.C)))])
         gate = self._usual_deviation(design.rest.innovation_factor, design)
         d_std = numbers(self._std(design, design.prior_factor))
+        residual_std = numbers(self._residual_std(design, design.prior_factor))
         return StepAtRest(
             H=H,
             observer_step=self.equations.steps.observer_step,
             constants=constants,
-            frozen=(*gate.tolist(), *d_std, *K.ravel().tolist()),
+            frozen=(*gate.tolist(), *d_std, *residual_std, *K.ravel().tolist()),
             M_H=None if design.M_H is None else tuple(map(tuple, design.M_H.tolist())),
             confidence=Confidence(
                 factor=design.prior_factor,
@@ -267,6 +272,7 @@ class SampledObserver:
             d_at_sample=numbers(d_hat),
             d_std=after.confidence.d_std,
             residual=numbers(residual),
+            residual_std=numbers(self._residual_std(design, before.factor)),
             valid=used,
         )
 
@@ -305,6 +311,7 @@ class SampledObserver:
             d_at_sample=state.d_hat,
             d_std=after.confidence.d_std,
             residual=numbers(residual),
+            residual_std=numbers(self._residual_std(design, before.factor)),
             valid=finite and before.refused == 0,
         )
 
@@ -388,9 +395,13 @@ class SampledObserver:
 
     def _usual_deviation(self, innovation_factor: Array, design: SampledDesign) -> Array:
         """Return what noise and the class of disturbances bring about in samples (p,) without any jump."""
-        usual = self.known.disturbance_rate if self.system.order else self.known.disturbance_bound
         noise = np.linalg.norm(innovation_factor, axis=1) / design.intensities.scale
-        return np.asarray(_GATE * noise + 2.0 * design.usual_innovation @ usual)
+        return np.asarray(_GATE * noise + 2.0 * design.usual_innovation @ self._usual_disturbance)
+
+    @property
+    def _usual_disturbance(self) -> Array:
+        """Bound (q2,) of what `SampledDesign.usual_innovation` is the answer to."""
+        return self.known.disturbance_rate if self.system.order else self.known.disturbance_bound
 
     def _plausible_deviation(self, last: Array, innovation_factor: Array, design: SampledDesign) -> Array:
         """Return the largest deviation (p,) that a jump of d by 2 D₀ at most explains, after the one seen last (p,).
@@ -431,6 +442,17 @@ class SampledObserver:
         x_after, _ = integrate(derivatives, xi_hat[:n], 0.0, H, H)
         later = [sum((series[j] * H ** (j - i) / factorial(j - i) for j in range(i, r)), np.zeros(q)) for i in range(r)]
         return np.concatenate([x_after, *later])
+
+    def _residual_std(self, design: SampledDesign, factor: Array) -> Array:
+        """Return the standard deviation (p,) of a residual: of rest, and what the covariance lies above its own rest.
+
+        factor (N,N): of the covariance before the sample.
+        """
+        usual = self._usual_disturbance
+        steady = self._steady_residual_std(_key(design), lambda: steady_residual_std(design, usual))
+        own, rest = self.system.C @ factor, self.system.C @ design.prior_factor
+        excess = np.maximum(np.sum(own * own, axis=1) - np.sum(rest * rest, axis=1), 0.0)
+        return np.asarray(np.sqrt(steady**2 + excess))
 
     def _std(self, design: SampledDesign, factor: Array) -> Array:
         """Return the error bar (q2,) of d̂ a step ahead: of rest, and what the covariance lies above its own rest."""

@@ -117,6 +117,15 @@ def steady_std(design: SampledDesign, rate: Array) -> Array:
     return np.asarray(np.hypot(design.noise_std(ahead=True), bias / np.sqrt(3.0)))
 
 
+def steady_residual_std(design: SampledDesign, usual: Array) -> Array:
+    """Return the standard deviation (p,) of residuals once the gain is frozen; `usual` (q2,) bounds the disturbance.
+
+    What the disturbance leaves in the residuals counts like the bias of `steady_std`.
+    """
+    left = design.usual_innovation @ usual
+    return np.asarray(np.hypot(design.innovation_noise_std(), left / np.sqrt(3.0)))
+
+
 def sine_rate(bound: float, order: int) -> float:
     """Return the bound of the r-th derivative (the first, for r = 0) of a sine of 1 Hz with amplitude `bound`."""
     return float(bound * (2.0 * np.pi) ** max(order, 1))
