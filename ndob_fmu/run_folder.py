@@ -76,7 +76,12 @@ def describe(system: System | str | Path, recording: Recording, settings: Mappin
     with open_system(system, settings.get("step_size")) as (opened, experiment):
         parameters = _parameters(opened, settings.get("start_values") or {})
         connections = {str(c.target): [str(c.source), c.factor, c.offset] for c in opened.connections}
-        units = {name: opened.variable(opened.port(name)).unit for name in [*parameters, *connections]}
+        units = {
+            f"{name}.{variable.name}": variable.unit
+            for name, component in opened.components.items()
+            for variable in component.variables
+            if variable.causality == "input" or f"{name}.{variable.name}" in parameters
+        }
         step = settings.get("step_size") or experiment.step_size or interval
         order = settings.get("order") or opened.components
         coupling = {
