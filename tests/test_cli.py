@@ -375,9 +375,14 @@ def run(*words, **options):
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, **options)
 
 
+def said(done):
+    """Return the lines on stderr but for what a slow machine makes a command say of its progress."""
+    return [line for line in done.stderr.splitlines() if not line.startswith("ndob-fmu: still ")]
+
+
 def test_the_program_returns_the_exit_code_and_prints_no_traceback(files):
     done = run("design", files / "zero.py")
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert (done.returncode, done.stdout, len(said(done))) == (1, "", 1)
     done = run("simulate", "missing.ssp")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     done = run("nonsense")
@@ -442,7 +447,7 @@ def test_a_reader_that_has_gone_ends_a_command_without_a_word(words, flexible_jo
     os.close(read)
     done = printed_to(words, write, flexible_joint, tmp_path)
     os.close(write)
-    assert done.stderr == "" or done.stderr.startswith("ndob-fmu: still ")
+    assert said(done) == []
     assert done.returncode in (0, 141)  # argparse passes over it
 
 
@@ -451,4 +456,4 @@ def test_an_output_that_cannot_be_written_is_said_in_a_line(flexible_joint, tmp_
     with Path("/dev/full").open("w") as full:
         done = printed_to(["check", "flexible_joint"], full, flexible_joint, tmp_path)
     assert done.returncode == 2
-    assert done.stderr == "ndob-fmu: the output cannot be written: No space left on device\n"
+    assert said(done) == ["ndob-fmu: the output cannot be written: No space left on device"]
