@@ -9,11 +9,13 @@ from collections.abc import Mapping
 
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.ssp.schema import NAMESPACES
+from ndob_fmu.cosim.ssp.support import FMU_TYPE
 
 _SPACES = " ".join(f'xmlns:{prefix}="{namespace}"' for prefix, namespace in NAMESPACES.items())
 _HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
 _UNITS = """<ssc:Unit name="rad"><ssc:BaseUnit rad="1"/></ssc:Unit>
     <ssc:Unit name="N.m"><ssc:BaseUnit kg="1" m="2" s="-2"/></ssc:Unit>"""
+_FMU = f'type="{FMU_TYPE}" implementation="CoSimulation"'
 _MEASURED = ("motor_angle", "link_angle")
 _WIRES = {"angle_a": "rad", "angle_b": "rad", "torque_a": "N.m", "torque_b": "N.m"}
 
@@ -53,7 +55,7 @@ def _description() -> str:
     <ssd:Elements>
       {_joint("a")}
       {_joint("b")}
-      <ssd:Component name="spring" source="resources/spring_TorsionSpring.fmu">
+      <ssd:Component name="spring" source="resources/spring_TorsionSpring.fmu" {_FMU}>
         <ssd:Connectors>
           {_connectors({n: ("output" if "torque" in n else "input", unit) for n, unit in _WIRES.items()})}
         </ssd:Connectors>
@@ -94,11 +96,11 @@ def _joint(joint: str) -> str:
     return f"""<ssd:System name="joint_{joint}">
         <ssd:Connectors>{_connectors(estimate)}</ssd:Connectors>
         <ssd:Elements>
-          <ssd:Component name="plant" source="resources/joint_{joint}_plant_FlexibleJointPlant.fmu">
+          <ssd:Component name="plant" source="resources/joint_{joint}_plant_FlexibleJointPlant.fmu" {_FMU}>
             <ssd:Connectors>{_connectors({"load_torque": ("input", "N.m"), **angles})}</ssd:Connectors>
             {_bound("plant")}
           </ssd:Component>
-          <ssd:Component name="observer" source="resources/joint_{joint}_observer_FlexibleJointObserver.fmu">
+          <ssd:Component name="observer" source="resources/joint_{joint}_observer_FlexibleJointObserver.fmu" {_FMU}>
             <ssd:Connectors>{_connectors({**measured, **estimate})}</ssd:Connectors>
             {_bound("observer")}
           </ssd:Component>

@@ -52,6 +52,16 @@ def test_no_file_of_a_package_has_the_name_of_another(shipped):
         assert all(f"{name}_" in source for name, source in components)
 
 
+def test_every_component_says_that_it_is_an_fmu(shipped):
+    """SSP's default, but OMSimulator passes over components without a type."""
+    for path in shipped.systems.glob("*.ssp"):
+        with zipfile.ZipFile(path) as package:
+            components = re.findall(r"<ssd:Component [^>]*>", _description(package))
+        said = 'type="application/x-fmu-sharedlibrary" implementation="CoSimulation"'
+        assert components
+        assert all(said in component for component in components), path.name
+
+
 def _description(package):
     return package.read("SystemStructure.ssd").decode()
 

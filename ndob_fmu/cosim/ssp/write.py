@@ -19,6 +19,7 @@ from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, t
 from ndob_fmu.cosim.ssp.names import FileNames, plain
 from ndob_fmu.cosim.ssp.pack import write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
+from ndob_fmu.cosim.ssp.support import FMU_TYPE
 from ndob_fmu.cosim.system import Link, Port, System
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs
@@ -126,7 +127,9 @@ class _Writer:
         self, elements: Element, name: str, source: str, values: Mapping[str, Value], step_size: float | None
     ) -> None:
         system = self._system
-        element = add(elements, "ssd:Component", name=name, source=source)
+        # The type is SSP's default; OMSimulator passes over components without it.
+        kind = {"type": FMU_TYPE, "implementation": "CoSimulation"}
+        element = add(elements, "ssd:Component", name=name, source=source, **kind)
         used = {port.variable for c in system.connections for port in c[:2] if port.component == name}
         used |= {link.port.variable for link in system.outputs.values() if link.port.component == name}
         used |= {
