@@ -13,7 +13,7 @@ from random import Random
 import numpy as np
 import pytest
 from attacks.steps import adding_up, coupled, run, with_odd_steps
-from fmi_instance import OK, opened
+from fmi_instance import OK, opened, unpacked
 
 from ndob_fmu.runtime.encoder import Encoder
 
@@ -147,6 +147,26 @@ def test_an_encoder_takes_each_sample_in_the_step_that_it_is_due_in(start, H, st
             state = encoder.step(state, float(k), t, H)
             assert isnan(state.shown) == (k % every != 0), (k, added)
             assert state.new == (k % every == 0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("short", [1e-17, 1e-16, 1e-12, 1e-7])
+def test_a_state_after_short_steps_comes_back_from_its_bytes(flexible_joint, method, short):
+    H = 1e-3
+    with unpacked(flexible_joint.observer) as instance:
+        one, other = instance("one"), instance("other")
+        for each in (one, other):
+            each.begin(**METHODS[method])
+        t = 0.0
+        for h in [*[H] * 20, short, short, H, short, H]:
+            one.step(t, h, motor_angle=1.0 + t, link_angle=1.0 - t)
+            t += h
+        status, state = other.from_bytes(one.bytes_of(one.state()))
+        assert (status, other.setFMUState(state)) == (OK, OK), other.said
+        for h in (short, H, H):
+            shown = [each.step(t, h, motor_angle=1.0 + t, link_angle=1.0 - t) for each in (one, other)]
+            assert shown[0] == shown[1]
+            t += h
 
 
 def test_random_masters_leave_finite_estimates_and_honest_error_bars(flexible_joint):

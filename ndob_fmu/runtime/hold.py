@@ -30,7 +30,7 @@ class History:
         """Return whether these can be samples for polynomials of at most this degree."""
         ages, samples = self.ages, self.samples
         finite = bool(np.all(np.isfinite(ages)) and np.all(np.isfinite(samples)))
-        in_order = bool(np.all(ages >= 0.0) and np.all(np.diff(ages) > 0.0))
+        in_order = bool(np.all(ages >= 0.0) and np.all(np.diff(ages) >= 0.0))
         return finite and in_order and len(ages) == len(samples) <= 2 * (degree + 1)
 
     def with_sample(self, y: Array, degree: int) -> History:
