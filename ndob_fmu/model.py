@@ -276,7 +276,13 @@ class Model:
         By itself SymPy takes the text "E" for 2.718… and "beta" for a function.
         """
         if isinstance(value, str):
-            return sympy.sympify(value, locals=dict(self.symbols))
+            try:
+                found = sympy.sympify(value, locals=dict(self.symbols))
+            except Exception as error:  # SymPy evaluates the text, which may raise anything
+                raise sympy.SympifyError(value, error) from error
+            if not isinstance(found, sympy.Expr):
+                raise sympy.SympifyError(value)
+            return found
         return [self._parsed(entry) for entry in value] if isinstance(value, list | tuple) else value
 
     def _own_symbols(self, label: str, expression: Any, allowed: Iterable[str]) -> sympy.Expr:

@@ -68,6 +68,13 @@ def test_a_keyword_is_refused_with_a_name_that_would_do(role, name):
     assert len(str(refused.value)) < 300
 
 
+@pytest.mark.parametrize("entry", ["x.y", "foo(", "a b", "print", "1/0", "lambda", "[1]"])
+def test_a_text_that_is_no_expression_is_refused_in_a_line(entry):
+    fields = {"states": ["x"], "outputs": ["x"], "disturbances": ["d"], "C": [[1]], "G_d": [[1]]}
+    with pytest.raises(NdobError, match=r"^Bad\.A: expected"):
+        Model(name="Bad", A=[[entry]], **fields)
+
+
 def test_a_motor_with_the_currents_id_and_iq_runs_as_fmus(tmp_path):
     """A motor in d and q, whose d axis is named as in every textbook; the names in the other roles are as bad."""
     R, L = sympy.symbols("max E")
