@@ -53,7 +53,7 @@ def _inputs(system: System | str | Path, recording: Recording, settings: Mapping
     with open_system(system, settings.get("step_size")) as (opened, _):
         table = read_inputs(settings["input_file"], opened)
     # A row of the file holds from its time on, which the file's decimals may miss by their rounding.
-    slack = 1e-6 * float(recording.time[1] - recording.time[0])
+    slack = 1e-6 * float(np.ptp(recording.time[:2]))
     rows = np.searchsorted(table.time, recording.time + slack, side="right") - 1
     return Recording(recording.time, tuple(map(str, table.ports)), table.values[rows])
 
@@ -72,7 +72,8 @@ def describe(system: System | str | Path, recording: Recording, settings: Mappin
     every other variable that a start value was given for. units: of signals, inputs and parameters that have one.
     stop_time: of the last row. ended_early: what ended the run before its stop time, None if nothing did.
     """
-    interval = float(recording.time[1] - recording.time[0]) if len(recording.time) > 1 else None
+    regular = len(recording.time) - bool(recording.ended_early)  # the row of an early end lies between others
+    interval = float(recording.time[1] - recording.time[0]) if regular > 1 else None
     with open_system(system, settings.get("step_size")) as (opened, experiment):
         parameters = _parameters(opened, settings.get("start_values") or {})
         connections = {str(c.target): [str(c.source), c.factor, c.offset] for c in opened.connections}

@@ -202,12 +202,22 @@ def test_the_command_writes_the_rows_before_a_failure_and_fails(fmus, capsys):
 
 
 @pytest.mark.parametrize(
-    ("how", "end", "code", "stop_time"), [(END, "0.35", 0, 0.35), (FAIL, "0.35", 1, 0.3), (END, "0.0", 0, 0.0)]
+    ("how", "end", "code", "stop_time"),
+    [
+        (END, "0.35", 0, 0.35),
+        (FAIL, "0.35", 1, 0.3),
+        (END, "0.0", 0, 0.0),
+        (END, "0.05", 0, 0.05),
+        (FAIL, "0.0", 1, 0.0),
+    ],
 )
 def test_a_folder_of_results_says_how_the_run_ended(fmus, tmp_path, how, end, code, stop_time):
-    assert main(["simulate", str(fmus / "Ramp.fmu"), *values(how, end), "--results", "r"]) == code
+    (tmp_path / "own/u.csv").write_text("time,u\n0,1\n0.2,1\n")
+    command = ["simulate", str(fmus / "Ramp.fmu"), *values(how, end), "--input-file", "u.csv", "--results", "r"]
+    assert main(command) == code
     summary = json.loads((tmp_path / "own/r/summary.json").read_text())
-    assert summary["stop_time"] == pytest.approx(stop_time)
+    assert (summary["step_size"], summary["stop_time"]) == (0.1, pytest.approx(stop_time))
+    assert "output_interval" not in summary
     assert (summary["ended_early"] is None, summary["failed"] is None) == (how != END, how == END)
     assert read_csv("r/result.csv").time[-1] == pytest.approx(stop_time)
     assert (tmp_path / "own/r/signals.png").exists()
