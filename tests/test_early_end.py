@@ -16,7 +16,7 @@ from ndob_fmu.errors import SimulationError
 from ndob_fmu.results import read_csv
 
 SCHEMES = ["jacobi", "gauss-seidel", "extrapolation"]
-END, END_WITHOUT_TIME, DISCARD, FAIL, WITHHOLD = range(1, 6)  # what Ramp.fmu does
+END, END_WITHOUT_TIME, DISCARD, FAIL, WITHHOLD, END_TOO_LATE, END_AT_NAN, SILENT = range(1, 9)  # what Ramp.fmu does
 
 
 @pytest.fixture(scope="session")
@@ -117,10 +117,11 @@ def test_an_fmu_that_ends_the_simulation_is_asked_when_and_ends_the_run_normally
     assert [record.getMessage() for record in caplog.records] == [said]
 
 
-def test_an_fmu_that_does_not_say_when_has_ended_at_the_beginning_of_the_step(fmus):
-    recording = simulate(fmus / "Ramp.fmu", start_values={"u": 1, "how": END_WITHOUT_TIME, "ends_at": 0.35})
-    assert recording.time[-1] == pytest.approx(0.3)
-    assert recording.ended_early.startswith("component Ramp ended the simulation at t = 0.3 s")
+@pytest.mark.parametrize(("how", "end"), [(END_WITHOUT_TIME, 0.3), (END_AT_NAN, 0.3), (END_TOO_LATE, 0.4)])
+def test_an_fmu_that_says_no_time_or_one_outside_its_step_has_ended_within_the_step(fmus, how, end):
+    recording = simulate(fmus / "Ramp.fmu", start_values={"u": 1, "how": how, "ends_at": 0.35})
+    assert recording.time[-1] == pytest.approx(end)
+    assert recording.ended_early == f"component Ramp ended the simulation at t = {end} s: the top is reached"
 
 
 def test_an_fmu_that_gives_no_values_at_its_end_leaves_the_rows_before(fmus):
@@ -140,9 +141,10 @@ def test_an_fmu_of_pythonfmu_that_returns_false_has_ended_the_simulation(fmus):
     )
 
 
-def test_a_step_that_is_discarded_for_another_reason_is_a_failure(fmus):
+@pytest.mark.parametrize("how", [DISCARD, SILENT])
+def test_a_step_that_is_discarded_for_another_reason_is_a_failure(fmus, how):
     with pytest.raises(SimulationError, match=r"component Ramp at t = 0\.3 s: .*received discard.*the top is reached"):
-        simulate(fmus / "Ramp.fmu", start_values={"u": 1, "how": DISCARD, "ends_at": 0.35})
+        simulate(fmus / "Ramp.fmu", start_values={"u": 1, "how": how, "ends_at": 0.35})
 
 
 def test_an_fmu_that_ended_one_run_makes_the_next_one(fmus):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,7 @@ from ndob_fmu.study.measures import TAKES, Measure
 from ndob_fmu.study.points import Points, Range, grid, latin_hypercube, listed, random
 from ndob_fmu.study.session import Session
 from ndob_fmu.study.store import Store, read_runs
+from ndob_fmu.study.workers import StudyPlugin
 
 
 @pytest.fixture(scope="session")
@@ -145,6 +148,61 @@ def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_
     assert [row["failed"] for row in rows] == [False, False, False, True, False]
     assert len(loaded) == 2
     assert not any(folder.exists() for folder in loaded)
+
+
+RAMP = """
+system = "{fmus}/Ramp.fmu"
+[simulation]
+tolerance = 1e-9
+strict = true
+[fixed]
+how = 0
+[grid]
+u = [1.0, 2.0]
+[measures]
+tolerance = {{ of = "Ramp.tolerance", take = "final" }}
+"""
+
+
+def test_the_tolerance_of_a_study_gets_to_the_fmus(fmus, tmp_path):
+    study = read_study(write(tmp_path, "s", RAMP, fmus))
+    session = Session(study, {study.system: Path(study.system)})
+    assert [session.run(run)["tolerance"] for run in range(2)] == [1e-9, 1e-9]
+    session.close()
+
+
+def test_inputs_that_nothing_drives_are_named_once_for_a_study_and_refused_where_it_is_strict(fmus, tmp_path, caplog):
+    undriven = RAMP.replace("u = [1.0, 2.0]", "how = [0]").replace("[fixed]\nhow = 0\n", "")
+    with pytest.raises(CouplingError, match=r"s\.toml, \[simulation\]: input Ramp\.u: expected a connection"):
+        read_study(write(tmp_path, "s", undriven, fmus))
+    caplog.clear()
+    study = read_study(write(tmp_path, "s", undriven.replace("strict = true", ""), fmus))
+    assert [record.getMessage() for record in caplog.records] == [
+        "nothing drives the input Ramp.u; it keeps its own start value"
+    ]
+    session = Session(
+        replace(study, simulation=replace(study.simulation, strict=True)), {study.system: fmus / "Ramp.fmu"}
+    )
+    assert "input Ramp.u: expected a connection" in session.run(0)["reason"]
+    session.close()
+
+
+def test_workers_do_not_repeat_warnings_run_by_run(fmus, tmp_path):
+    study = read_study(write(tmp_path, "s", RAMP, fmus))
+    log, plugin = logging.getLogger("ndob_fmu.cosim"), StudyPlugin(study, own=False)
+    before = log.level
+    try:
+        plugin.setup(None)
+        assert not logging.getLogger("ndob_fmu.cosim.run").isEnabledFor(logging.WARNING)
+    finally:
+        plugin.teardown(None)
+        log.setLevel(before)
+
+
+@pytest.mark.parametrize("tolerance", ["0", "-1e-6", "nan", "inf", "true", '"fine"'])
+def test_a_tolerance_of_a_study_that_is_not_a_positive_number_is_refused(fmus, tmp_path, tolerance):
+    with pytest.raises(UsageError, match=r"\[simulation\], tolerance: expected a (finite )?number > 0"):
+        read_study(write(tmp_path, "s", RAMP.replace("1e-9", tolerance), fmus))
 
 
 def test_components_keep_their_own_step_where_the_communication_step_varies(fmus, tmp_path):

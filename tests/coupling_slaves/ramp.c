@@ -7,7 +7,7 @@
 #define UNUSED __attribute__((unused))
 
 enum { X, TOLERANCE, U, ENDS_AT, REALS };
-enum { RUN, END, END_WITHOUT_TIME, DISCARD, FAIL, WITHHOLD };
+enum { RUN, END, END_WITHOUT_TIME, DISCARD, FAIL, WITHHOLD, END_TOO_LATE, END_AT_NAN, SILENT };
 
 typedef struct {
     const fmi2CallbackFunctions *callbacks;
@@ -66,14 +66,23 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, UNUSED fmi2
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-    if (kind != fmi2Terminated) return fmi2Discard;
-    *value = ((Ramp *)c)->ended;
+    Ramp *self = c;
+    if (kind != fmi2Terminated || self->how == SILENT) {
+        const fmi2CallbackFunctions *to = self->callbacks;
+        to->logger(to->componentEnvironment, "ramp", fmi2Discard, "", "no such status");
+        return fmi2Discard;
+    }
+    *value = self->ended;
     return fmi2OK;
 }
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     const Ramp *self = c;
-    if (kind != fmi2LastSuccessfulTime || self->how == END_WITHOUT_TIME) return fmi2Discard;
-    *value = self->time;
+    if (kind != fmi2LastSuccessfulTime || self->how == END_WITHOUT_TIME) {
+        const fmi2CallbackFunctions *to = self->callbacks;
+        to->logger(to->componentEnvironment, "ramp", fmi2Discard, "", "no such time");
+        return fmi2Discard;
+    }
+    *value = self->how == END_TOO_LATE ? 1e9 : self->how == END_AT_NAN ? NAN : self->time;
     return fmi2OK;
 }
 
