@@ -169,7 +169,6 @@ class FmuComponent:
         last = time
         with suppress(FMICallException):
             last = float(self._fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime))
-        self._log.last = reason
         self._time = min(max(last, time), time + step_size) if math.isfinite(last) else time
         return Ended(self._time, reason)
 
