@@ -45,6 +45,7 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.bit_flips --trials 2000 --seed 1
 	$(BIN)/python -m tests.attacks.study_files --trials 10000 --seed 1
+	$(BIN)/python -m tests.attacks.interrupts --trials 20 --seed 1
 
 importers: .venv/installed-test build
 	$(BIN)/python tests/other_importers.py

@@ -16,7 +16,9 @@ from typing import Any, NoReturn
 from ndob_fmu import __version__
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
 from ndob_fmu.extras import extra
+from ndob_fmu.interrupts import exit_code, interruptible, received
 from ndob_fmu.progress import PATIENCE, begin, shown_after
+from ndob_fmu.temporary import remove_folders
 
 _BUILD = Path("build")
 _DEMO_MODEL = "flexible_joint"
@@ -25,18 +27,32 @@ _READER_GONE = 128 + 13  # SIGPIPE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 1 where a check or a run failed, 2 where the input is unusable."""
+    """Run one command and return its exit code: 0, 1 where a check or a run failed, 2 where the input is unusable.
+
+    Where a signal ended it, that is 128 and the number of the signal.
+    """
+    with interruptible(terminate=True):
+        try:
+            return _run(arguments)
+        finally:
+            remove_folders()
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     options = _parser().parse_args(arguments)
     logging.basicConfig(format="ndob-fmu: %(message)s", level=logging.WARNING)
     try:
         with shown_after(PATIENCE) if options.run in (_check, _design, _build) else nullcontext():
             code: int = options.run(options)
-    except NdobError as error:
+    except (Exception, KeyboardInterrupt) as error:
+        interrupt = error if isinstance(error, KeyboardInterrupt) else received()
+        if interrupt is not None:
+            print("ndob-fmu: interrupted; no unfinished file is left", file=sys.stderr)
+            return exit_code(interrupt)
+        if not isinstance(error, NdobError):
+            raise
         print(f"ndob-fmu: {error}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        print("ndob-fmu: interrupted, nothing was written", file=sys.stderr)
-        return 130
     return code
 
 
@@ -46,6 +62,15 @@ def run_and_leave() -> NoReturn:
     Without Python's own end: the static state of pythonfmu's binary, loaded with an FMU, is used then after being freed
     and may abort the process although all went well. Every file is closed by now.
     """
+    with interruptible(terminate=True):  # to the very end: a second Ctrl-C must not print a traceback
+        try:
+            code = _code_of_main()
+        except KeyboardInterrupt as interrupt:  # before or after the command itself
+            code = exit_code(interrupt)
+        os._exit(code)
+
+
+def _code_of_main() -> int:
     try:
         code = main()
         sys.stdout.flush()
@@ -63,7 +88,7 @@ def run_and_leave() -> NoReturn:
             print(f"ndob-fmu: the output cannot be written: {error.strerror}", file=sys.stderr)
     with suppress(OSError):
         sys.stderr.flush()
-    os._exit(code)
+    return code
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -204,12 +229,12 @@ def _sweep(options: argparse.Namespace) -> int:
             scheduler=options.scheduler,
             retry_failed=options.retry_failed,
         )
-    except KeyboardInterrupt:
+        summary = summarize(folder, tally)
+        print(as_text(summary))
+        names = ["runs.csv", "summary.json", *(f"{path.stem}.png and .svg" for path in draw(folder))]
+    except KeyboardInterrupt as interrupt:
         print(f"\nndob-fmu: interrupted; finished runs are in {folder}, the same command goes on", file=sys.stderr)
-        return 130
-    summary = summarize(folder, tally)
-    print(as_text(summary))
-    names = ["runs.csv", "summary.json", *(f"{path.stem}.png and .svg" for path in draw(folder))]
+        return exit_code(interrupt)
     print(f"Look at {folder}: {', '.join(names)}; `ndob-fmu report {folder}` makes a page of it.")
     return 0 if summary["failed"] == 0 else 1
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu import __version__
 from ndob_fmu.errors import UsageError, nearest, one_of, some_of
+from ndob_fmu.interrupts import held
 
 SYSTEM_PICTURE = "system.svg"  # the name of the picture of the system in a folder of results
 _VALUES_IN_A_BLOCK = 100_000  # a Python number takes 32 bytes: some megabytes
@@ -89,7 +90,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise UsageError.report(str(target), expected="a file that can be written", received=str(error)) from error
     finally:
-        with suppress(OSError):  # where nothing could be written there is nothing to remove either
+        with held(), suppress(OSError):  # where nothing could be written there is nothing to remove either
             temporary.unlink()
 
 
@@ -106,16 +107,18 @@ def atomic_folder(folder: str | Path) -> Iterator[Path]:
     try:
         temporary.mkdir(parents=True)
         yield temporary
-        for path in sorted(temporary.iterdir()):
-            path.replace(target / path.name)
-        new = False
+        with held():
+            for path in sorted(temporary.iterdir()):
+                path.replace(target / path.name)
+            new = False
     except OSError as error:
         raise UsageError.report(str(target), expected="a folder that can be written", received=str(error)) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if new:
-            with suppress(OSError):  # where it could not be made
-                target.rmdir()
+        with held():
+            shutil.rmtree(temporary, ignore_errors=True)
+            if new:
+                with suppress(OSError):  # where it could not be made
+                    target.rmdir()
 
 
 def write_csv(path: str | Path, recording: Recording) -> None:

@@ -37,3 +37,9 @@ def test_damaged_results_are_read_as_they_were_written_or_not_at_all():
     assert "go on with a study: done again" in line
     assert "read a run: refused in one line" in line
     assert line.endswith("; 0 faults")
+
+
+def test_a_command_that_is_interrupted_leaves_nothing_behind():
+    line = attack("interrupts", trials=1, seed=2)
+    assert "1 SIGTERM in time, 1 double Ctrl-C in time" in line
+    assert line.endswith("; 0 faults")

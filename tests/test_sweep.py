@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -9,13 +10,15 @@ import resource
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 
+import dask
 import psutil
 import pyarrow.parquet as pq
 import pytest
 from coupling_fmus import coupling_fmus
-from distributed import Client
+from distributed import Client, LocalCluster, Security, rpc
 from study_files import SLOW, WALK, start, wait_for, workers_of, write
 
 from ndob_fmu.cli import main
@@ -222,6 +225,86 @@ def test_an_unreachable_scheduler_is_named(walk, fmus, tmp_path, monkeypatch, ca
     err = capsys.readouterr().err
     assert "scheduler tcp://127.0.0.1:1: expected a scheduler of dask.distributed that answers" in err
     assert err.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory):
+    """Start a cluster that speaks TLS; return its address and dask's configuration with a certificate for it."""
+    security, folder = Security.temporary(), tmp_path_factory.mktemp("tls")
+    files = {
+        "ca-file": security.tls_ca_file,
+        "client.cert": security.tls_client_cert,
+        "client.key": security.tls_client_key,
+    }
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    http = {"dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(
+        processes=False, threads_per_worker=1, security=security, dashboard_address=None, scheduler_kwargs=http
+    ) as started:
+        yield started.scheduler_address, {f"distributed.comm.tls.{name}": str(folder / name) for name in files}
+
+
+def test_a_study_runs_on_a_scheduler_that_speaks_tls_by_dasks_configuration(fmus, secured, tmp_path):
+    address, configuration = secured
+    assert address.startswith("tls://")
+    study = read_study(write(tmp_path, "walk", WALK, fmus))
+    with dask.config.set(configuration):
+        assert sweep(study, tmp_path / "r", scheduler=address).done == 24
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (dict.fromkeys(("ca-file", "client.cert", "client.key")), "for TLS in dask's configuration, received none"),
+        ({"ca-file": "absent"}, "No such file"),
+        ({"client.key": __file__}, "PEM"),
+        ({"ca-file": "other"}, "certificate"),
+    ],
+)
+def test_tls_without_the_right_certificate_ends_in_one_line(walk, secured, tmp_path, capfd, change, words):
+    address, configuration = secured
+    (tmp_path / "other").write_text(Security.temporary().tls_ca_file)
+    changed = {name: str(tmp_path / value) if value else None for name, value in change.items()}
+    configuration = {**configuration, **{f"distributed.comm.tls.{name}": path for name, path in changed.items()}}
+    with dask.config.set(configuration), pytest.raises(UsageError, match=words):
+        sweep(walk[0], tmp_path / "r", scheduler=address)
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("address", ["foo://host:1", "tcp://", "", "tcp://127.0.0.1:x", "inproc://x"])
+def test_an_address_that_is_none_is_refused_in_one_line(walk, tmp_path, capfd, address):
+    with pytest.raises(UsageError, match=rf"scheduler {address}: expected a scheduler"):
+        sweep(walk[0], tmp_path / "r", scheduler=address)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_cluster_of_this_machine_is_reached_from_this_machine_only_and_asks_for_a_certificate(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    here = psutil.Process()
+    before, others = ports(here), workers_of(here)
+    with workers.connected(1, None) as client:
+        everyone = [here, *(process for process in workers_of(here) if process not in others)]
+        listening = {place for process in everyone for place in ports(process)} - before
+        address = client.scheduler.address
+        assert len(everyone) >= 2
+        assert len(listening) >= 3
+        assert {place.ip for place in listening} == {"127.0.0.1"}
+        with pytest.raises((OSError, TypeError)):
+            connect(address, Security())
+    assert list(tmp_path.iterdir()) == []
+
+
+def ports(process):
+    return {c.laddr for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN}
+
+
+def connect(address, security):
+    async def attempt():
+        async with rpc(address, connection_args=security.get_connection_args("client")) as scheduler:
+            await scheduler.identity()
+
+    asyncio.run(asyncio.wait_for(attempt(), 5.0))
 
 
 def test_an_input_file_goes_to_the_workers_and_recorded_signals_come_back(fmus, cluster, tmp_path):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from ctypes import byref
@@ -24,6 +22,7 @@ from ndob_fmu.cosim.fmu_buffers import Buffer, buffers, fmi_call
 from ndob_fmu.cosim.fmu_description import read_description
 from ndob_fmu.cosim.fmu_log import FmuLog
 from ndob_fmu.errors import NdobError, SimulationError
+from ndob_fmu.temporary import make_folder, remove_folder
 
 _log = logging.getLogger(__name__)
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
@@ -92,7 +91,7 @@ class FmuComponent:
         self._log.last = ""
         if self._fmu is None:
             self._log.open()
-            self._folder = Path(tempfile.mkdtemp(prefix="ndob_fmu_"))
+            self._folder = make_folder()
             with open_archive(self.path) as archive:
                 archive.extractall(self._folder)
             self._fmu = self._load(self._folder)
@@ -187,7 +186,7 @@ class FmuComponent:
         finally:
             self._log.close()
             if self._folder is not None:
-                shutil.rmtree(self._folder, ignore_errors=True)  # a library still loaded cannot be deleted on Windows
+                remove_folder(self._folder)
                 self._folder = None
 
     @contextmanager

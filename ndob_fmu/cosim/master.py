@@ -10,12 +10,13 @@ import numpy as np
 from tqdm import tqdm
 
 from ndob_fmu.cosim.clock import Clock
+from ndob_fmu.cosim.component import Component
 from ndob_fmu.cosim.exchange import exchange
-from ndob_fmu.cosim.interrupt import deferred_interrupt
 from ndob_fmu.cosim.rows import Rows
 from ndob_fmu.cosim.schemes import SCHEMES, Ending, earliest
 from ndob_fmu.cosim.wiring import Wiring
 from ndob_fmu.errors import UsageError, one_of
+from ndob_fmu.interrupts import deferred_interrupt, held
 from ndob_fmu.results import Recording
 
 _QUIET_SECONDS = 2.0  # a run shorter than this shows no progress bar
@@ -45,7 +46,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tol
     before = recorded.copy()
     with deferred_interrupt() as check_interrupt, rows.kept_on_failure(), ExitStack() as release:
         for lane in wiring.lanes:
-            release.callback(lane.component.close)
+            release.callback(_close, lane.component)
             stop_time = clock.time(clock.steps)
             lane.component.setup(clock.start_time, stop_time, lane.start_values, lane.inputs, tolerance)
         play(0, from_file)
@@ -80,6 +81,11 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tol
         if ending is not None and ending.steps < stop:
             rows.end(ending, recorded, done)
     return rows.recording()
+
+
+def _close(component: Component) -> None:
+    with held():
+        component.close()
 
 
 def _counted(steps: int, progress: bool | None) -> Iterable[int]:

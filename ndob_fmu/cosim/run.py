@@ -22,6 +22,7 @@ from ndob_fmu.cosim.ssp import open_ssp
 from ndob_fmu.cosim.system import Port, System
 from ndob_fmu.cosim.wiring import Wiring, keep_start_values, wire
 from ndob_fmu.errors import SimulationError, UsageError, shortened
+from ndob_fmu.interrupts import interruptible
 from ndob_fmu.results import Recording
 
 _log = logging.getLogger(__name__)
@@ -67,7 +68,7 @@ def simulate(
     SimulationError for a component that fails; its ``recording`` has the rows before the failure, None where there are
     none. No component and no temporary file outlives the call.
     """
-    with open_system(system, step_size) as (opened, experiment):
+    with interruptible(), open_system(system, step_size) as (opened, experiment):
         clock = Clock.over(
             _first(start_time, experiment.start_time, 0.0),
             _time("stop time", stop_time, experiment.stop_time),

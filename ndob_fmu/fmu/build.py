@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import sys
-import tempfile
 import uuid
 import xml.etree.ElementTree as ET
 import zipfile
@@ -25,6 +24,7 @@ from ndob_fmu.model import Model
 from ndob_fmu.progress import begin
 from ndob_fmu.results import atomic_path
 from ndob_fmu.runtime.interface import Variable, observer_variables, plant_variables
+from ndob_fmu.temporary import temporary_folder
 
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 
@@ -56,7 +56,7 @@ def package(path: Path, content: Bundle, variables: tuple[Variable, ...], added:
     Raises ModelError for a unit that is none, UsageError where the folder cannot be written.
     """
     begin(f"building {path.name}")
-    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, _imports_undone(work):
+    with temporary_folder() as work, _imports_undone(str(work)):
         source = Path(work, "source")
         for relative, text in content.files.items():
             inside = source / relative

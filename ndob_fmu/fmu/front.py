@@ -16,7 +16,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,6 +23,8 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
+
+from ndob_fmu.temporary import temporary_folder
 
 _log = logging.getLogger(__name__)
 
@@ -165,7 +166,7 @@ def _compiled(target: Platform, wish: str) -> bytes | None:
         tried = f"{target.variable}={wish}, which is not here" if wish else f"none of {', '.join(target.compilers)}"
         _log.warning(target.lost, f"expected a C compiler, received {tried}")
         return None
-    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
+    with temporary_folder() as work:
         binary = Path(work, f"front{target.suffix}")
         sources = sorted(path.name for path in SOURCES.glob("*.c") if not path.name.endswith(target.other))
         command = [*compiler, *_FLAGS, *target.flags, f"-ffile-prefix-map={SOURCES}=.", "-I", str(HEADERS), *sources]

@@ -16,6 +16,7 @@ from distributed import Client, Future, TimeoutError, wait  # noqa: A004 # Pytho
 from tqdm import tqdm
 
 from ndob_fmu.errors import NdobError, SimulationError
+from ndob_fmu.interrupts import check_interrupt
 from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
 from ndob_fmu.study.description import Study
 from ndob_fmu.study.lock import locked
@@ -151,6 +152,7 @@ class _Crew:
     def _wait(self) -> list[Future]:
         patience = time.monotonic() + _LOST_AFTER
         while not (done := self._done_within(1.0)):
+            check_interrupt()
             alive = self._count()
             self.threads = alive or self.threads  # workers may have come
             if alive:

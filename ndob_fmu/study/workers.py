@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import signal
-import tempfile
 import threading
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
+from distributed import Client, LocalCluster, Security, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
 
-from ndob_fmu.errors import SimulationError, UsageError
+from ndob_fmu.errors import NdobError, SimulationError, UsageError
+from ndob_fmu.interrupts import held
 from ndob_fmu.study.description import Study
 from ndob_fmu.study.session import Session
+from ndob_fmu.temporary import make_folder, remove_folder, temporary_folder
 
 _PATIENCE = 10.0  # seconds for a scheduler to answer, and for its first worker
 _CONFIGURATION = {
@@ -42,10 +45,10 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
         if self._own and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which then ends its workers
         logging.getLogger("ndob_fmu.cosim").setLevel(logging.ERROR)  # its warnings were logged when the study was read
-        self._folder = tempfile.TemporaryDirectory(prefix="ndob_fmu_study_")
+        self._folder = make_folder()
         self._files: dict[str, Path] = {}
         for index, (name, content) in enumerate(self._study.files.items()):
-            path = Path(self._folder.name, str(index), Path(name).name)
+            path = self._folder / str(index) / Path(name).name
             path.parent.mkdir()
             path.write_bytes(content)
             self._files[name] = path
@@ -55,7 +58,7 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
         """Free the FMUs."""
         while self._idle:
             self._idle.pop().close()
-        self._folder.cleanup()
+        remove_folder(self._folder)
 
     def run(self, runs: Sequence[int]) -> list[dict[str, Any]]:
         """Return a row for each run, made in a session that no other thread of the worker uses meanwhile."""
@@ -84,25 +87,29 @@ def connected(workers: int | None, scheduler: str | None) -> Iterator[Client]:
                 yield client
             return
         # Workers that are killed leave their files behind; these go with the folder.
-        with (
-            tempfile.TemporaryDirectory(prefix="ndob_fmu_", ignore_cleanup_errors=True) as folder,
-            ExitStack() as stack,
-        ):
-            yield _local(workers or os.cpu_count() or 1, folder, stack)
+        with temporary_folder() as folder, _processes_ended(), ExitStack() as stack:
+            stack.enter_context(dask.config.set({"temporary-directory": str(folder)}))  # of the scheduler
+            yield _local(workers or os.cpu_count() or 1, str(folder), stack)
 
 
 def _local(workers: int, folder: str, stack: ExitStack) -> Client:
     try:
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=":0",
-            local_directory=folder,
-            env={"TMPDIR": folder},
-            silence_logs=logging.CRITICAL,
-        )
-        return stack.enter_context(Client(stack.enter_context(cluster)))
+        with held(), _without_ctrl_c():
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                worker_dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # of its HTTP server, which goes without it too
+                # Other accounts of this machine reach these ports, and could have their code run.
+                security=Security.temporary(),
+                local_directory=folder,
+                env={"TMPDIR": folder},
+                silence_logs=logging.CRITICAL,
+            )
+            return stack.enter_context(Client(stack.enter_context(cluster)))
     except (OSError, RuntimeError, TimeoutError) as error:
         raise SimulationError.report(
             "workers",
@@ -110,6 +117,33 @@ def _local(workers: int, folder: str, stack: ExitStack) -> Client:
             received=" ".join(str(error).split())[:200],
             likely='too little memory, or a script that calls sweep outside of `if __name__ == "__main__":`',
         ) from error
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Start threads and processes that Ctrl-C does not reach: a terminal sends it to all, but it is for the command."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # whose start would let the signal through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _processes_ended() -> Iterator[None]:
+    """End the processes that were started in the block and outlive it, as those of a cluster that did not come up."""
+    before = multiprocessing.active_children()
+    try:
+        yield
+    finally:
+        for process in multiprocessing.active_children():
+            if process not in before:
+                process.kill()
+                process.join(_PATIENCE)
 
 
 @contextmanager
@@ -127,17 +161,40 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
+def _security(address: str) -> Security:
+    """Return the keys and certificates of dask's configuration; raise UsageError where tls:// has none that work."""
+    found = Security()
+    if address.startswith("tls://"):
+        try:
+            context = found.get_connection_args("client").get("ssl_context")
+        except (OSError, ValueError) as error:  # of ssl, which is an OSError, and of its files
+            raise _no_tls(address, str(error)) from error
+        if context is None:
+            raise _no_tls(address, "none")
+    return found
+
+
+def _no_tls(address: str, received: str) -> NdobError:
+    return UsageError.report(
+        f"scheduler {address}",
+        expected="certificate and key for TLS in dask's configuration",
+        received=received,
+        likely="distributed.comm.tls.ca-file, .client.cert or .client.key is missing or wrong: docs/studies.md",
+    )
+
+
 @contextmanager
 def _remote(address: str) -> Iterator[Client]:
+    security = _security(address)
     try:
-        client = Client(address, timeout=_PATIENCE)
-    except (OSError, ValueError, TimeoutError) as error:
+        client = Client(address, timeout=_PATIENCE, security=security)
+    except (OSError, ValueError, TypeError, ImportError, TimeoutError) as error:
         received = str(error).partition("\n")[0] or "no answer"
         raise UsageError.report(
             f"scheduler {address}",
-            expected="a scheduler of dask.distributed that answers, as tcp://HOST:PORT",
+            expected="a scheduler of dask.distributed that answers, as tcp://HOST:PORT or tls://HOST:PORT",
             received=received,
-            likely="`dask scheduler` does not run there, or a firewall is in between",
+            likely="`dask scheduler` does not run there, speaks the other protocol, or a firewall is in between",
         ) from error
     with client:
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
 from ndob_fmu.cosim.system import System
 from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs, without_driver
 from ndob_fmu.errors import CouplingError, NdobError, UsageError, shortened, some_of
+from ndob_fmu.temporary import temporary_folder
 
 _Found = TypeVar("_Found")
 _MARKS = {True: "ok  ", False: "FAIL", None: "    "}
@@ -80,7 +80,7 @@ def check_ssp(path: str | Path, *, strict: bool = False, picture: str | Path | N
     """
     path = Path(path)
     checks = _Checks()
-    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder:
+    with temporary_folder() as folder:
         system = None
         if checks.run("archive", lambda: _archive(path)):
             with open_archive(path) as archive:
@@ -125,7 +125,7 @@ def _archive(path: Path) -> tuple[bool, str]:
         return True, f"{len(archive.namelist())} entries, none outside its folder"
 
 
-def _system(checks: _Checks, package: Package, archive: Archive, folder: str, strict: bool) -> System | None:
+def _system(checks: _Checks, package: Package, archive: Archive, folder: Path, strict: bool) -> System | None:
     def schemas() -> tuple[Any, str]:
         root = package.description()
         unused = package.check_files(root)

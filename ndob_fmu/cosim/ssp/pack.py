@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from ndob_fmu.cosim.ssp.structure import components
 from ndob_fmu.cosim.start_values import with_start_values
 from ndob_fmu.errors import CouplingError, UsageError, one_of
 from ndob_fmu.results import atomic_path
+from ndob_fmu.temporary import temporary_folder
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
 
@@ -80,7 +80,7 @@ def write_package(target: Path, files: Mapping[str, bytes]) -> Path:
 
 def _started(target: Path, written: Path) -> dict[str, bytes]:
     """Return the FMUs of a package with its start values; of several that use one FMU, those on which all agree."""
-    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder, open_archive(written) as archive:
+    with temporary_folder() as folder, open_archive(written) as archive:
         package = Package(target, archive)
         root = package.description()
         parts = read_components(package, root, archive, folder)

@@ -6,7 +6,6 @@ units, mappings inside a description and parameters' units, the other over trans
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,6 +23,7 @@ from ndob_fmu.cosim.ssp.support import check_supported
 from ndob_fmu.cosim.ssp.units import Units, read_units
 from ndob_fmu.cosim.system import Port, System
 from ndob_fmu.errors import CouplingError, NdobError, some_of
+from ndob_fmu.temporary import temporary_folder
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple
     uses a part of SSP that would not be honoured.
     """
     path = Path(path)
-    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as folder, open_archive(path) as archive:
+    with temporary_folder() as folder, open_archive(path) as archive:
         package = Package(path, archive)
         root = package.description()
         experiment = read_experiment(package.where, root)
@@ -121,7 +121,7 @@ class Package:
         return name
 
 
-def read_components(package: Package, root: Element, archive: Archive, folder: str) -> dict[str, FmuComponent]:
+def read_components(package: Package, root: Element, archive: Archive, folder: Path) -> dict[str, FmuComponent]:
     """Unpack the FMUs of a description, each once, into a folder and return its components by their full names."""
     fmus: dict[str, Path] = {}
     parts: dict[str, FmuComponent] = {}
