@@ -137,3 +137,30 @@ def test_a_list_without_names_is_a_whole_sentence(attempt, said):
     with pytest.raises((NdobError, UsageError)) as refused:
         attempt()
     assert str(refused.value) == said
+
+
+def test_warnings_about_large_systems_are_short_lines(caplog):
+    """A loop through many signals that has no solution, many inputs that nothing drives, and NaN at the end."""
+    count = 60
+    every = [f"signal_number_{k}_of_a_component" for k in range(count)]
+    through = [
+        Variable(f"{name}_out", "output", settable=False, dependencies=(name,), initial_dependencies=(name,))
+        for name in every
+    ]
+    more = [f"{name}_that_nothing_drives" for name in every]
+
+    def without_solution(x, u):
+        return [float(u[every[0]] < 0.5), *(u[name] for name in every[1:])]
+
+    part = Mock([*every, *more], through, output=without_solution)
+    pairs = [(f"{every[k]}_out", every[(k + 1) % count]) for k in range(count)]
+    system = System({"a": part}, tuple((("a", source), ("a", target)) for source, target in pairs))
+    part.step = lambda time, step_size: part.__dict__.update(output=lambda x, u: [np.nan] * count)
+    simulate(system, stop_time=1.0, step_size=1.0)
+    said = [record.getMessage() for record in caplog.records]
+    assert [
+        words
+        for words in ("do not settle", "nothing drives", "algebraic loop", "ends in NaN")
+        if words not in " ".join(said)
+    ] == []
+    assert [text for text in said if len(text) > MESSAGE_LIMIT or "\n" in text] == []
