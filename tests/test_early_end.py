@@ -66,12 +66,17 @@ def test_a_component_that_ends_at_a_communication_point_adds_no_row_and_all_othe
     assert recording.ended_early
 
 
-def test_between_two_recorded_rows_the_last_one_is_that_of_the_ending():
-    recording = simulate(
-        System({"a": ramp(), "end": clock_until(0.75)}), stop_time=1.0, step_size=0.125, output_interval=0.5
-    )
-    np.testing.assert_array_equal(recording.time, [0, 0.5, 0.75])
-    np.testing.assert_array_equal(recording["a.y"], [0, 0.5, 0.75])
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize(("end", "met"), [(0.75, 0.75), (0.8, 0.75)])
+def test_between_two_recorded_rows_the_last_one_is_that_of_the_ending(scheme, end, met):
+    system = System({"a": ramp(), "end": clock_until(end)})
+    recording = simulate(system, stop_time=1.0, step_size=0.125, output_interval=0.5, scheme=scheme)
+    np.testing.assert_array_equal(recording.time, [0, 0.5, end])
+    np.testing.assert_array_equal(recording["end.y"], [0, 0.5, end])
+    np.testing.assert_array_equal(recording["a.y"], [0, 0.5, met])
+
+
+def test_an_end_after_the_last_recorded_row_at_the_stop_time_is_no_early_one():
     recording = simulate(
         System({"a": ramp(), "end": clock_until(0.875)}), stop_time=0.875, step_size=0.125, output_interval=0.25
     )

@@ -43,6 +43,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tol
     rows = Rows(wiring.names, wiring.types, clock)
     parts = SCHEMES[scheme].parts(wiring.lanes, bus, clock)
     advance, in_turn = SCHEMES[scheme].advance, SCHEMES[scheme].in_turn
+    between_rows = in_turn and clock.stride > 1
     before = recorded.copy()
     with deferred_interrupt() as check_interrupt, rows.kept_on_failure(), ExitStack() as release:
         for lane in wiring.lanes:
@@ -64,7 +65,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tol
             check_interrupt()
             if from_file.size:
                 play(k, from_file)
-            if in_turn:
+            if between_rows:
                 np.copyto(before, recorded)
             found = advance(parts, clock, k)
             if found is not None:
@@ -72,7 +73,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tol
                 clock = clock.until(ending.steps)
                 if ending.steps <= k:
                     if in_turn:
-                        np.copyto(recorded, before)
+                        np.copyto(recorded, before if between_rows else rows.last)
                     break
             done = k + 1
             if done % clock.stride == 0:

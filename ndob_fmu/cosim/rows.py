@@ -29,6 +29,12 @@ class Rows:
         self._columns[self._count] = values
         self._count += 1
 
+    @property
+    def last(self) -> Array:
+        """The values recorded last, (width,)."""
+        values: Array = self._columns[self._count - 1]
+        return values
+
     def end(self, ending: Ending, values: Array, done: int) -> None:
         """Make the time of ``ending`` that of the last row; values: (width,), those after ``done`` steps.
 
