@@ -21,7 +21,7 @@ from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.errors import DesignError, IntegrationError
 from ndob_fmu.runtime.integrate import MOST_SUBSTEPS, integrate
 from ndob_fmu.runtime.kalman import Update, gain_change, predict, update
-from ndob_fmu.runtime.memo import Latest
+from ndob_fmu.runtime.memo import Latest, Shared, by_value
 from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
 from ndob_fmu.runtime.sampled_design import Intensities, SampledDesign, sampled_design, scaled_noise
@@ -32,6 +32,9 @@ from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 ORDERS = tuple(range(HIGHEST_ORDER + 1))
 _AT_REST = 1e-7
+# A thousand instances of the same parameters need one design.
+_TUNED: Shared[Intensities] = Shared(64)
+_DESIGNS: Shared[SampledDesign] = Shared(16)
 _LARGEST_GROWTH = 700.0  # e^700 is nearly the largest number
 # A sample is refused where it lies further from its prediction than this many standard deviations, twice what the class
 # of disturbances always does, and what a jump of d by 2 D₀ could have led to since the sample before, together. After
@@ -107,9 +110,11 @@ class SampledObserver:
         """
         at = tuned_at or H
         intensities = self._tuned_intensities(at)
-        return self._designed(
-            (H, at), lambda: sampled_design(self.system, H, self.known.R_factor, intensities, self.alpha)
-        )
+
+        def compute() -> SampledDesign:
+            return sampled_design(self.system, H, self.known.R_factor, intensities, self.alpha)
+
+        return self._designed((H, at), lambda: _DESIGNS((H, at, self._task), compute))
 
     def estimate(self, state: SampledState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
@@ -323,7 +328,13 @@ class SampledObserver:
         return replace(confidence, factor=confidence.factor * (new / old), at_rest=False)
 
     def _tuned_intensities(self, H: float) -> Intensities:
-        return self._tuned((H,), lambda: self._intensities(H))
+        return self._tuned((H,), lambda: _TUNED((H, self._task), lambda: self._intensities(H)))
+
+    @cached_property
+    def _task(self) -> tuple[object, ...]:
+        """All that intensities and designs depend on besides the step."""
+        task: tuple[object, ...] = by_value((self.system, self.known, self.x_std, self.alpha, self.pi))
+        return task
 
     def _xi(self, state: SampledState) -> Array:
         """Return ξ̂⁻ (N,)."""

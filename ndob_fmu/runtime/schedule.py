@@ -9,6 +9,7 @@ import numpy as np
 
 from ndob_fmu.runtime.errors import DesignError
 from ndob_fmu.runtime.gains import LinearPart
+from ndob_fmu.runtime.memo import Shared, by_value
 from ndob_fmu.runtime.riccati import Array, lyapunov, solve_riccati_over
 
 _KNOTS_PER_DECADE = 8
@@ -67,8 +68,15 @@ class GainTable:
         )
 
 
+_TABLES: Shared[GainTable] = Shared(16)
+
+
 def gain_table(linear: LinearPart, schedule: PiSchedule, *, alpha: float) -> GainTable:
     """Solve eq. (8)/(24) along the schedule. Raises DesignError where one of the solutions cannot be trusted."""
+    return _TABLES(by_value((linear, schedule, alpha)), lambda: _gain_table(linear, schedule, alpha))
+
+
+def _gain_table(linear: LinearPart, schedule: PiSchedule, alpha: float) -> GainTable:
     low, high = sorted((schedule.pi_start, schedule.pi_end))
     if schedule.ramp_time == 0.0 or low == high:
         pis = np.array([schedule.pi_end])
