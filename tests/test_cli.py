@@ -415,9 +415,6 @@ def test_the_program_tells_its_version_and_its_commands():
 
 
 PRINTS = [
-    ["--help"],
-    ["--version"],
-    ["check", "flexible_joint"],
     ["check", "flexible_joint", "--json"],
     ["design", "flexible_joint", "--json", "--step-size", "1e-3"],
     ["build", "flexible_joint"],
@@ -448,7 +445,7 @@ def test_a_reader_that_has_gone_ends_a_command_without_a_word(words, flexible_jo
     done = printed_to(words, write, flexible_joint, tmp_path)
     os.close(write)
     assert said(done) == []
-    assert done.returncode in (0, 141)  # argparse passes over it
+    assert done.returncode == 141
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the device that is always full is Linux's")
