@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -152,18 +153,20 @@ def read_csv(path: str | Path) -> Recording:
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:  # -sig: spreadsheets write a byte-order mark
             names = next(csv.reader(file), [])
-            lines = [_with_numbers(line) for line in file]
+            if not names or names[0] != "time" or len(set(names)) != len(names):
+                raise UsageError.report(
+                    where,
+                    expected='a header of different names, the first of them "time"',
+                    received=some_of(names, between=",") if names else "an empty file",
+                    likely="another separator than the comma, or no header line",
+                )
+            lines = (_with_numbers(line) for line in file if line.strip())  # one at a time: text takes much memory
+            first = next(lines, None)
+            rows = np.empty((0, len(names)))
+            if first is not None:
+                rows = np.loadtxt(chain([first], lines), delimiter=",", ndmin=2)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
-    if not names or names[0] != "time" or len(set(names)) != len(names):
-        raise UsageError.report(
-            where,
-            expected='a header of different names, the first of them "time"',
-            received=some_of(names, between=",") if names else "an empty file",
-            likely="another separator than the comma, or no header line",
-        )
-    try:
-        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if any(map(str.strip, lines)) else np.empty((0, len(names)))
     except ValueError as error:
         raise UsageError.report(where, expected="numbers separated by commas", received=str(error)) from error
     if rows.shape[0] == 0 or rows.shape[1] != len(names):

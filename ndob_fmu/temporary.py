@@ -16,11 +16,13 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-
-from filelock import FileLock, Timeout
+from typing import TYPE_CHECKING
 
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interrupts import held
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 _PREFIX = "ndob_fmu_"
 _LOCK, _FILES = "lock", "files"
@@ -42,6 +44,8 @@ def temporary_folder() -> Iterator[Path]:
 
 def make_folder() -> Path:
     """Return a new empty folder for `remove_folder`; raise UsageError if none can be made."""
+    from filelock import FileLock  # takes long to import, and few commands need folders
+
     with held():
         try:
             place = Path(tempfile.gettempdir())
@@ -88,6 +92,8 @@ atexit.register(remove_folders)
 
 
 def _remove_if_stale(root: Path) -> None:
+    from filelock import FileLock, Timeout
+
     with suppress(OSError, Timeout, NotImplementedError):  # it is in use, or was removed by another process meanwhile
         found = root.lstat()
         mine = not hasattr(os, "getuid") or found.st_uid == os.getuid()

@@ -81,7 +81,7 @@ class Place:
         faults += self._partial(results)
         self.output.seek(0)
         said = self.output.read()
-        began = "run_and_leave" in said or not said.rstrip().endswith("KeyboardInterrupt")
+        began = ", in run_and_leave" in said or not said.rstrip().endswith("KeyboardInterrupt")
         if "Traceback" in said and began:  # before that Python itself was starting
             faults.append(f"printed {said[-600:]!r}")
         self.output.close()
