@@ -12,7 +12,7 @@ from ndob_fmu.runtime.augmented import augment, discretise
 from ndob_fmu.runtime.gains import LinearPart, paper_gains
 from ndob_fmu.runtime.kalman import converged_factor
 from ndob_fmu.runtime.sampled_design import sampled_design
-from ndob_fmu.runtime.tuning import Knowledge, at_bandwidth, from_pi, predicted_error, tuned_intensities
+from ndob_fmu.runtime.tuning import Knowledge, _minimise, at_bandwidth, from_pi, predicted_error, tuned_intensities
 
 LINK = MODELS["flexible_joint"].linear_part()
 SINE = 2.0 * np.pi
@@ -170,3 +170,18 @@ def test_the_filters_covariance_of_pure_noise_is_the_stationary_one():
     rest = np.eye(6) - found.K @ system.C
     whole = converged_factor(found.error_dynamics, np.hstack([rest @ found.noise_factor, found.K @ known.R_factor]))
     np.testing.assert_allclose(np.linalg.norm(whole, axis=1), np.linalg.norm(found.rest.factor, axis=1), rtol=1e-6)
+
+
+@pytest.mark.parametrize("noise", [1e-9, 1e-12])
+def test_rounding_errors_of_the_costs_move_their_minimum_no_further_than_in_proportion(noise):
+    """A search by comparisons is led astray by the square root of it, and anywhere on the flat side of a cost."""
+    random = np.random.default_rng(0)
+    for flat in (0.0, 1.0):
+
+        def cost(x, flat=flat):
+            return np.log(np.exp(-2.0 * x) + (1.0 if flat else np.exp(x))) + noise * random.normal()
+
+        found = [_minimise(cost, -4.0, 6.6) for _ in range(5)]
+        # A flat cost is followed until its slope is 1e-4 only: there an error counts 1e4 times, and in the cost once.
+        assert np.ptp(found) < 100.0 * noise * (1e4 if flat else 1.0)
+        assert found[0] == pytest.approx(5.0 if flat else np.log(2.0) / 3.0, abs=0.1)

@@ -28,7 +28,12 @@ _F_ERROR_IN_SIGMA = 10.0
 # Bandwidths over 1/H that are looked at; beyond the last one nothing changes any more but rounding.
 _SLOWEST, _FASTEST = 1e-4, 4.0
 _SCAN = 10
-_REFINEMENTS = 14
+# The logarithm of the cost is compared this far on both sides of its minimum, in the logarithm of the bandwidth. Where
+# it is nearly flat, a bandwidth lower by a factor e may cost this part more.
+_REACH = 0.1
+_SLOWER = 1e-4
+_REFINEMENTS = 25
+_SAME_PLACE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -157,21 +162,36 @@ def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tupl
 
 
 def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
-    """Return the place of the least cost on [low, high]: a scan, then golden sections around its best."""
+    """Return the place of the least cost on [low, high], to the accuracy of the costs.
+
+    A scan finds the neighbourhood. In it the place is sought where the cost is the same at both sides: by the method of
+    false position (Illinois), as comparisons of costs near their minimum would be decided by rounding errors.
+    """
+
+    def slope(place: float) -> float:
+        return cost(place + _REACH) - cost(place - _REACH) + 2.0 * _REACH * _SLOWER
+
     places = np.linspace(low, high, _SCAN)
-    values = [cost(place) for place in places]
-    best = int(np.argmin(values))
-    left, right = places[max(best - 1, 0)], places[min(best + 1, _SCAN - 1)]
-    ratio = 0.5 * (np.sqrt(5.0) - 1.0)
-    inner = [right - ratio * (right - left), left + ratio * (right - left)]
-    at_inner = [cost(inner[0]), cost(inner[1])]
+    best = int(np.argmin([cost(place) + _SLOWER * place for place in places]))
+    left, right = float(places[max(best - 1, 0)]), float(places[min(best + 1, _SCAN - 1)])
+    at_left, at_right = slope(left), slope(right)
+    if not at_left < 0.0:
+        return left
+    if not at_right > 0.0:
+        return right
+    place, last = left, 0
     for _ in range(_REFINEMENTS):
-        if at_inner[0] <= at_inner[1]:
-            right, inner[1], at_inner[1] = inner[1], inner[0], at_inner[0]
-            inner[0] = right - ratio * (right - left)
-            at_inner[0] = cost(inner[0])
+        before, place = place, right - at_right * (right - left) / (at_right - at_left)
+        if not left < place < right:  # also where a cost, and with it a slope, is infinite
+            place = 0.5 * (left + right)
+        if abs(place - before) <= _SAME_PLACE:
+            break
+        at_place = slope(place)
+        if at_place < 0.0:
+            left, at_left = place, at_place
+            at_right *= 0.5 if last < 0 else 1.0
         else:
-            left, inner[0], at_inner[0] = inner[0], inner[1], at_inner[1]
-            inner[1] = left + ratio * (right - left)
-            at_inner[1] = cost(inner[1])
-    return float(inner[int(np.argmin(at_inner))])
+            right, at_right = place, at_place
+            at_left *= 0.5 if last > 0 else 1.0
+        last = -1 if at_place < 0.0 else 1
+    return place
