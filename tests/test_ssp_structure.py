@@ -343,7 +343,7 @@ def test_connectors_of_systems_may_lead_nowhere_and_have_values(pack, tmp_path):
     assert start(path, start_values={"spare": 3}) == {"one.y": 6.0}
     (tmp_path / "u.csv").write_text("time,spare\n0,5\n")
     assert start(path, input_file=tmp_path / "u.csv") == {"one.y": 6.0}
-    with pytest.raises(CouplingError, match="received 'sparse'"):
+    with pytest.raises(CouplingError, match=r"'sparse': expected .*did you mean 'spare'"):
         start(path, start_values={"sparse": 3})
 
 

@@ -197,10 +197,11 @@ class System:
         if not ports and len(self.components) == 1:
             ports = [Port(next(iter(self.components)), name)]
         found = next((port for port in ports if port.variable in self._variables[port.component]), None)
-        if found is None and ports:
+        if found is None and ports and not difflib.get_close_matches(name, self.inputs):
             self.variable(ports[0])
         if found is None:
             known = [str(Port(part, variable)) for part, table in self._variables.items() for variable in table]
+            known += self.inputs
             whole = [full for full in known if full.endswith(f".{name}")] or difflib.get_close_matches(name, known, n=1)
             raise CouplingError.report(
                 repr(name),
