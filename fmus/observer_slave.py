@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 from fmus.slave_base import Slave
 from ndob_fmu.runtime.channel import ChannelState, lumped, lumped_bound, lumped_rate, read_out
 from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.errors import IntegrationError
 from ndob_fmu.runtime.hold import History
 from ndob_fmu.runtime.interface import METHODS, for_each_disturbance, observer_variables
 from ndob_fmu.runtime.observer import Estimate
@@ -58,11 +60,17 @@ class ObserverSlave(Slave):
         return outputs
 
     def advance(self, t: float, step_size: float) -> Sequence[Any]:
-        """Take in the sample at the start of the step and predict its end."""
+        """Take in the sample at the start of the step and predict its end.
+
+        Raises IntegrationError where an output leaves the finite numbers.
+        """
         eq = self.equations
         u, y = self.values(eq.inputs), self.values(eq.outputs)
         self.state, estimate = self.observer.step(self.state, u, y, step_size)
-        return _outputs(estimate)
+        outputs = _outputs(estimate)
+        if not all(map(isfinite, outputs)):
+            raise IntegrationError("the observer's estimate or its error bar leaves the finite numbers")
+        return outputs
 
     def _paper(self) -> PaperObserver:
         return paper_observer(

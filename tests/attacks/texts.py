@@ -65,6 +65,7 @@ def attack(libraries: list[Library], trials: int, seed: int, note: Callable[[str
 
 def made(library: Library, name: bytes, guid: bytes, location: bytes) -> bool:
     """Instantiate and free again; what is refused is one line, what is taken none."""
+    library.said.clear()
     handle = library.Instantiate(
         c_char_p(name), c_int(1), c_char_p(guid), c_char_p(location), byref(library.callbacks), c_int(0), c_int(1)
     )
