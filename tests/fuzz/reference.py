@@ -19,6 +19,7 @@ LARGEST_INPUT = 10.0
 LONGEST_STEP = 0.01
 SHORTEST_STEP = 1e-4
 TOLERANCE = 1e-3
+ROUNDING = 1e-9  # a step (s) that is shorter is no sample, and the one before counts as the last one
 
 
 def acceptable(variable: Variable, value: float) -> bool:
@@ -48,8 +49,8 @@ def usual(variable: Variable) -> tuple[float, float]:
 class Memory:
     """What an instance remembers, all of which a saved state brings back; times in s.
 
-    values: set by the host, by value reference; shaken: a step with wild numbers has been taken; outputs: the last ones
-    read, while nothing may have changed them.
+    values: set by the host, by value reference; last: the last step; shaken: a step with wild numbers has been
+    taken; outputs: the last ones read, while nothing may have changed them.
     """
 
     values: dict[int, float]
@@ -58,6 +59,7 @@ class Memory:
     start: float = 0.0
     stop: float | None = None
     time: float = 0.0
+    last: float = 0.0
     refused: set[int] = field(default_factory=set)
     stale: bool = False
     shaken: bool = False
@@ -124,7 +126,7 @@ def set_(library: Library, memory: Memory, references: list[int], values: list) 
 def stepped(library: Library, memory: Memory, time: float, size: float) -> set[int]:
     if memory.mode != STEPPING:
         return {ERROR}
-    if not (0.0 < size < inf and abs(time - memory.time) <= TOLERANCE * size):
+    if not (0.0 < size < inf and abs(time - memory.time) <= TOLERANCE * max(size, memory.last)):
         return {DISCARD}
     if memory.stop is not None and time + size > memory.stop + TOLERANCE * size:
         return {ERROR}
@@ -136,12 +138,13 @@ def stepped(library: Library, memory: Memory, time: float, size: float) -> set[i
 def after_step(library: Library, memory: Memory, time: float, size: float) -> None:
     memory.shaken = memory.shaken or wild(library, memory) or not SHORTEST_STEP <= size <= LONGEST_STEP
     memory.time = time + size
+    memory.last = size if size > ROUNDING else memory.last
     memory.outputs = None
 
 
 def set_up(memory: Memory, start: float, stop: float | None) -> set[int]:
     if memory.mode != INSTANTIATED or not isfinite(start) or not (stop is None or stop >= start):
         return {ERROR}
-    memory.experiment, memory.start, memory.time = True, start, start
+    memory.experiment, memory.start, memory.time, memory.last = True, start, start, 0.0
     memory.stop = None if stop == inf else stop
     return {OK}
