@@ -185,22 +185,3 @@ def test_rounding_errors_of_the_costs_move_their_minimum_no_further_than_in_prop
         # A flat cost is followed until its slope is 1e-4 only: there an error counts 1e4 times, and in the cost once.
         assert np.ptp(found) < 100.0 * noise * (1e4 if flat else 1.0)
         assert found[0] == pytest.approx(5.0 if flat else np.log(2.0) / 3.0, abs=0.1)
-
-
-def test_a_disturbance_shows_in_the_outputs_in_any_units_of_the_states():
-    """From kilometres to nanometres the relative degree is that of the plant, and the intensity the same."""
-    random = np.random.default_rng(3)
-    for problem in RANDOM:
-        linear, (n, _, p, _) = problem.linear, problem.shape
-        S = np.exp2(random.integers(-40, 40, n))
-        other = replace(
-            linear,
-            A=linear.A * S / S[:, None],
-            C=linear.C * S,
-            G_f=linear.G_f / S[:, None],
-            G_d=linear.G_d / S[:, None],
-        )
-        q = linear.G_d.shape[1]
-        known = knowledge(p, 1e-4, np.ones(q), bound=np.ones(q))
-        one, two = (at_bandwidth(augment(plant, 2), 1e-2, 10.0, known).disturbance for plant in (linear, other))
-        np.testing.assert_allclose(two, one, rtol=1e-9)

@@ -35,9 +35,6 @@ _SLOWER = 1e-4
 _REFINEMENTS = 25
 _SAME_PLACE = 1e-9
 
-# A response that is smaller than this part of its terms is what rounding leaves of a zero.
-_RESPONSE = 1e-12
-
 
 @dataclass(frozen=True)
 class Knowledge:
@@ -147,16 +144,15 @@ def predicted_error(design: SampledDesign, rate: Array) -> tuple[Array, Array]:
 def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
     """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise.
 
-    A response counts where it is more than rounding leaves of its terms; this does not depend on the states' units.
-    Raises DesignError where no output sees the channel.
+    Raises DesignError where no output sees it, as with parameters of such sizes that all is lost in rounding.
     """
-    terms = np.abs(channel)
+    A_norm = float(np.linalg.norm(linear.A, 2))
+    largest = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C), 2) * np.linalg.norm(channel))
     for degree in range(1, len(linear.A) + 1):
-        response = linear.C @ channel
-        response = np.where(np.abs(response) > _RESPONSE * (np.abs(linear.C) @ terms), response, 0.0)
-        if np.any(response):
-            return degree, float(np.linalg.norm(np.linalg.solve(R_factor, response)))
-        channel, terms = linear.A @ channel, np.abs(linear.A) @ terms
+        gain = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C @ channel)))
+        if gain > 1e-12 * largest * max(A_norm, 1e-300) ** (degree - 1):
+            return degree, gain
+        channel = linear.A @ channel
     raise DesignError.report(
         "unknown inputs",
         expected="each to show in an output",
