@@ -39,8 +39,6 @@ class _Watch:
 
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Take a signal; a second one during a step is raised at once, since the step may never end."""
-        if self.raised:
-            return
         waits = self.holding or (self.stepping and self.pending is None)
         self.pending = number if self.pending is None else self.pending
         if not waits:

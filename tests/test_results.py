@@ -15,7 +15,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results import Recording, atomic_path, read_csv, write_csv, write_json
+from ndob_fmu.results import (
+    Recording,
+    atomic_path,
+    read_csv,
+    read_sealed_json,
+    write_csv,
+    write_json,
+    write_sealed_json,
+)
 
 
 def recording():
@@ -191,6 +199,28 @@ def test_json_takes_numpy_values_and_paths_and_turns_what_json_lacks_into_null(t
         "file": "a.csv",
         "pair": [1, None],
     }
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("0.25", "0.75"),
+        ('"runs"', '"rubs"'),
+        ('"runs": 3,', ""),
+        ("{", '{"more": 1,'),
+        ('"sha256"', '"sha257"'),
+        ("}", ""),
+    ],
+)
+def test_a_sealed_file_is_read_only_as_it_was_written(tmp_path, old, new):
+    path, data = tmp_path / "study.json", {"step": 0.25, "runs": 3, "worst": float("nan")}
+    write_sealed_json(path, data)
+    assert read_sealed_json(path) == {"step": 0.25, "runs": 3, "worst": None}
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(UsageError, match=r"study\.json: expected"):
+        read_sealed_json(path)
 
 
 def test_results_load_without_fmpy():
