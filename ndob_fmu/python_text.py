@@ -44,12 +44,10 @@ def python_text(expression: sympy.Expr) -> str:
     """Return the expression in Python. Raises ModelError for a function that has no Python form."""
     try:
         text: str = _PRINTER.doprint(expression)
-    except NotImplementedError:  # SymPy from 1.13 on raises where it used to write a comment
-        text = "Not supported"
-    if "Not supported" in text:
+    except NotImplementedError as error:
         raise ModelError.report(
             "f", expected="functions with a Python form", received=str(expression), likely="an undefined function"
-        )
+        ) from error
     return text
 
 

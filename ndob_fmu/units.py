@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
+import tokenize
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -67,7 +68,7 @@ def base_unit(name: str) -> BaseUnit | None:
     try:
         one, zero = (_registry().Quantity(value, formula).to_base_units() for value in (1.0, 0.0))
         powers = {_NAMES[base]: complex(power).real for base, power in one.unit_items()}
-    except Exception as error:  # for a text that is no formula pint raises more than its own errors
+    except _not_a_unit() as error:
         raise ModelError.report(
             f"unit {name!r}",
             expected="a unit of physics, like N.m, rad/s or kg.m2",
@@ -77,6 +78,14 @@ def base_unit(name: str) -> BaseUnit | None:
         return None
     factor, offset = float(one.magnitude - zero.magnitude), float(zero.magnitude)
     return BaseUnit(tuple(int(powers.get(base, 0)) for base in BASE_UNITS), factor, offset)
+
+
+def _not_a_unit() -> tuple[type[Exception], ...]:
+    import pint
+
+    # pint raises these for a text that is no unit. Any other error, like a plain AttributeError, is a library's fault.
+
+    return (pint.PintError, tokenize.TokenError, ArithmeticError, AssertionError, KeyError, TypeError, ValueError)
 
 
 @functools.cache

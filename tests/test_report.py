@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -41,6 +42,9 @@ observer.noise_std = {{ from = 1e-6, to = 1e-3, scale = "log" }}
 
 @pytest.fixture(scope="module")
 def driver(tmp_path_factory):
+    missing = [program for program in ("chromium", "chromedriver") if shutil.which(program) is None]
+    if missing:
+        pytest.skip(f"the report is tested in a browser, and {' and '.join(missing)} cannot be found on the PATH")
     with browser(tmp_path_factory.mktemp("profile")) as started:
         yield started
 

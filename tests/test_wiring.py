@@ -13,7 +13,7 @@ from mock_components import Mock, constant, gain, integrator
 import ndob_fmu
 from ndob_fmu.cosim import System, Variable, simulate
 from ndob_fmu.errors import CouplingError, UsageError
-from ndob_fmu.units import BaseUnit
+from ndob_fmu.units import BaseUnit, base_unit
 
 PLANT = [Variable("motor_torque", "input", unit="N.m"), Variable("load_torque", "input", unit="N.m")]
 ANGLES = [Variable(name, "output", unit="rad", settable=False) for name in ("motor_angle", "link_angle")]
@@ -361,3 +361,13 @@ def test_the_coupling_knows_nothing_of_models_and_observers_so_that_it_runs_any_
     outside = {name for name in imported if not name.startswith("ndob_fmu.cosim")}
     general = {"checklist", "errors", "interrupts", "results", "temporary", "units"}
     assert outside <= {f"ndob_fmu.{name}" for name in general}
+
+
+def test_an_error_inside_the_library_of_units_is_not_blamed_on_the_unit(monkeypatch):
+    class Broken:
+        def Quantity(self, value, formula):
+            raise AttributeError("no attribute of this library")
+
+    monkeypatch.setattr("ndob_fmu.units._registry", Broken)
+    with pytest.raises(AttributeError, match="of this library"):
+        base_unit("N.m")
