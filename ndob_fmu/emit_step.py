@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Names of the model do not begin with an underscore, so that none can hide these.
 STEP_IMPORTS = """from ndob_fmu.runtime.integrate import ALMOST as _ALMOST
-from ndob_fmu.runtime.integrate import MOST_SUBSTEPS as _MOST_SUBSTEPS
+from ndob_fmu.runtime.integrate import needs_too_many as _needs_too_many
 from ndob_fmu.runtime.integrate import largest as _largest
 from ndob_fmu.runtime.integrate import next_substep as _next_substep
 """
@@ -169,11 +169,13 @@ def _observer_step(rhs: RightHandSide, u: Symbols) -> list[str]:
         "            break",
         *_indented(_indented(_assigned(moved))),
         "        _t += _h",
-        "    if _norm == math.inf or _trials == _MOST_SUBSTEPS:",
+        "    if _norm == math.inf:",
         "        return None",
-        "    _trials += 1",
         "    _h = _next_substep(_h, _norm)",
         "    _left = _H - _t",
+        "    if _needs_too_many(_trials, _left, _h):",
+        "        return None",
+        "    _trials += 1",
         "    if _h >= _left * _ALMOST:",
         "        _h = _left",
         *_assigned(moved),

@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import fmpy
+from needs import found_c_compiler
 from pythonfmu.builder import FmuBuilder
 
 SLAVES = Path(__file__).parent / "coupling_slaves"
@@ -17,11 +18,12 @@ SLAVES = Path(__file__).parent / "coupling_slaves"
 
 @functools.cache
 def coupling_fmus(session_folder: Path) -> Path:
-    """Return the folder with Integrator.fmu, Gain.fmu, MassSpring.fmu, Mirror.fmu, Fragile.fmu and Ramp.fmu."""
+    """Return the folder with Integrator, Gain, MassSpring, Mirror and Fragile.fmu, and with a C compiler Ramp.fmu."""
     folder = session_folder / "coupling_fmus"
     for script in sorted(SLAVES.glob("*.py")):
         FmuBuilder.build_FMU(script, folder)
-    _compile("Ramp", folder)
+    if found_c_compiler():
+        _compile("Ramp", folder)
     return folder
 
 

@@ -391,7 +391,8 @@ def test_a_joint_without_stiffness_still_passes_because_gravity_acts_as_an_unkno
 
 def test_a_misspelt_parameter_is_refused_with_those_that_exist():
     with pytest.raises(
-        ModelError, match=r"expected gravity_torque, joint_stiffness, motor_damping, received 'gravity'"
+        ModelError,
+        match=r"expected one of the parameters gravity_torque, joint_stiffness, motor_damping, received 'gravity'",
     ):
         check(FLEXIBLE_JOINT, parameters={"gravity": 12.0})
 

@@ -6,10 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
+from needs import FRONT
 
 ROOT = Path(__file__).parents[1]
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the front is for Linux")
+pytestmark = FRONT
 
 
 def attack(name, fmus, trials):

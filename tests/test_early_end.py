@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from coupling_fmus import coupling_fmus
 from mock_components import Mock, constant, integrator, ramp
+from needs import C_COMPILER
 
 from ndob_fmu.cli import main
 from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.cosim.component import Ended
 from ndob_fmu.errors import SimulationError
 from ndob_fmu.results import read_csv
+
+pytestmark = C_COMPILER
 
 SCHEMES = ["jacobi", "gauss-seidel", "extrapolation"]
 END, END_WITHOUT_TIME, DISCARD, FAIL, WITHHOLD, END_TOO_LATE, END_AT_NAN, SILENT = range(1, 9)  # what Ramp.fmu does

@@ -376,7 +376,7 @@ def test_a_plant_that_leaves_the_finite_numbers_says_so(flexible_joint):
     with driven(flexible_joint.plant, {"motor_damping": -1e5}) as plant:
         plant.component.initialize()
         with pytest.raises(SimulationError, match="finite numbers"):
-            plant.component.step(0.0, 1.0)
+            plant.component.step(0.0, 0.01)
 
 
 def test_a_plant_holds_its_inputs_where_they_are_no_numbers(flexible_joint, caplog):

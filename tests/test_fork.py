@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 from native_host import compile_host, unpack
+from needs import FRONT
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the front is for Linux")
+pytestmark = FRONT
 
 TIMES = 8
 STEPPING = ("new fmu", "setup 0", "enter", "exit")

@@ -16,11 +16,12 @@ from random import Random
 import pytest
 from clean_process import ENVIRONMENT, run_clean
 from native_host import unpack
+from needs import FRONT
 
 from ndob_fmu import build, load_model
 from ndob_fmu.fmu import front
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the front is for Linux")
+pytestmark = FRONT
 
 
 @pytest.fixture

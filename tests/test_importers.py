@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from fmi_instance import unpacked
 from importer_runs import RUNS, TOLERANCE, Bench, difference
 from native_host import compile_host
+from needs import ECOS, FRONT
 from tools_page import BEGIN, END, PAGE, VERSIONS, all_runs
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ecos and the C host are run on Linux")
+pytestmark = FRONT
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +19,14 @@ def bench(flexible_joint, tmp_path_factory):
     return Bench(flexible_joint.plant, flexible_joint.observer, flexible_joint.system, compile_host(folder), folder)
 
 
-@pytest.mark.parametrize(("tool", "study"), [(tool, study) for study, tools in RUNS.items() for tool in tools])
+@pytest.mark.parametrize(
+    ("tool", "study"),
+    [
+        pytest.param(tool, study, marks=ECOS if tool.startswith("ecos") else ())
+        for study, tools in RUNS.items()
+        for tool in tools
+    ],
+)
 def test_a_tool_gets_the_trajectories_of_our_master(bench, tool, study):
     assert bench.difference(tool, study) <= TOLERANCE
 

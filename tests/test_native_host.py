@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from clean_process import ENVIRONMENT
 from native_host import IN_FMPY, RUN_AND_LEAVE, Native, compile_host, moved, unpack
+from needs import FRONT
 
 from ndob_fmu.cosim.fmu import FmuComponent
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the front is for Linux")
+pytestmark = FRONT
 
 STEP = ("new fmu", "setup 0 10", "enter", "exit")
 

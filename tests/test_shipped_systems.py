@@ -14,6 +14,7 @@ from fmpy.ssp.ssd import read_ssd
 from importer_runs import TOLERANCE, difference, in_python
 from importer_studies import as_one_block, reference
 from importers import Study
+from needs import ECOS
 
 from ndob_fmu.cosim import check_ssp, open_ssp, simulate
 from ndob_fmu.cosim.ssp.schema import NAMESPACES
@@ -109,7 +110,7 @@ def ours():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="libcosim and ecos are run on Linux")
-@pytest.mark.parametrize("tool", ["libcosimpy", "ecospy"])
+@pytest.mark.parametrize("tool", ["libcosimpy", pytest.param("ecospy", marks=ECOS)])
 @pytest.mark.parametrize(("name", "steps"), [*PORTABLE.items(), *VARIANTS.items()])
 def test_a_portable_system_gives_the_same_trajectories_in_every_tool(shipped, ours, tmp_path, tool, name, steps):
     """Rows at equal times are compared."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coupling_fmus import coupling_fmus
+from needs import C_COMPILER
 from study_files import SLOW, WALK, write
 
 from ndob_fmu.cosim import FmuComponent, System, simulate
@@ -137,6 +138,7 @@ take = "rms"
     assert study.record == ("observer.load_torque_hat",)
 
 
+@C_COMPILER
 def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_path, monkeypatch):
     load, loaded = FmuComponent._load, []
     monkeypatch.setattr(FmuComponent, "_load", lambda self, folder: (loaded.append(folder), load(self, folder))[1])
@@ -164,6 +166,7 @@ tolerance = {{ of = "Ramp.tolerance", take = "final" }}
 """
 
 
+@C_COMPILER
 def test_the_tolerance_of_a_study_gets_to_the_fmus(fmus, tmp_path):
     study = read_study(write(tmp_path, "s", RAMP, fmus))
     session = Session(study, {study.system: Path(study.system)})
@@ -171,6 +174,7 @@ def test_the_tolerance_of_a_study_gets_to_the_fmus(fmus, tmp_path):
     session.close()
 
 
+@C_COMPILER
 def test_inputs_that_nothing_drives_are_named_once_for_a_study_and_refused_where_it_is_strict(fmus, tmp_path, caplog):
     undriven = RAMP.replace("u = [1.0, 2.0]", "how = [0]").replace("[fixed]\nhow = 0\n", "")
     with pytest.raises(CouplingError, match=r"s\.toml, \[simulation\]: input Ramp\.u: expected a connection"):
@@ -187,6 +191,7 @@ def test_inputs_that_nothing_drives_are_named_once_for_a_study_and_refused_where
     session.close()
 
 
+@C_COMPILER
 def test_workers_do_not_repeat_warnings_run_by_run(fmus, tmp_path):
     study = read_study(write(tmp_path, "s", RAMP, fmus))
     log, plugin = logging.getLogger("ndob_fmu.cosim"), StudyPlugin(study, own=False)
@@ -199,6 +204,7 @@ def test_workers_do_not_repeat_warnings_run_by_run(fmus, tmp_path):
         log.setLevel(before)
 
 
+@C_COMPILER
 @pytest.mark.parametrize("tolerance", ["0", "-1e-6", "nan", "inf", "true", '"fine"'])
 def test_a_tolerance_of_a_study_that_is_not_a_positive_number_is_refused(fmus, tmp_path, tolerance):
     with pytest.raises(UsageError, match=r"\[simulation\], tolerance: expected a (finite )?number > 0"):

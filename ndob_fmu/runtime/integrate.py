@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from math import inf, isfinite
 from typing import TypeVar
@@ -13,8 +14,9 @@ from ndob_fmu.runtime.riccati import Array
 
 RELATIVE_TOLERANCE = 2e-12
 ABSOLUTE_TOLERANCE = 1e-12
-# In one communication step; they take the generated code of a plant 0.1 s.
-MOST_SUBSTEPS = 10_000
+# In one communication step. After so many trials, 0.1 s of a plant's generated code, the rest is judged by its substep.
+MOST_SUBSTEPS = 100_000
+_JUDGED_AFTER = 10_000
 # A substep that comes this near to the end of the interval goes to the end.
 ALMOST = 1.0 - 1e-12
 
@@ -69,7 +71,7 @@ def adapt(
 
     trial(t, x, step) returns x at t + step and the norm of its error, at most 1 where it may be accepted.
     """
-    for _ in range(MOST_SUBSTEPS):
+    for trials in itertools.count(1):
         remaining = t_end - t
         final = h >= remaining * ALMOST
         step = remaining if final else h
@@ -85,10 +87,17 @@ def adapt(
                 # A step cut short by the end of the interval says little against the longer one that was planned.
                 return x, max(h, next_substep(step, error_norm))
         h = next_substep(step, error_norm)
+        if needs_too_many(trials, t_end - t, h):
+            break
     raise IntegrationError(
         f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
         "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
     )
+
+
+def needs_too_many(trials: int, remaining: float, h: float) -> bool:
+    """Return whether the rest of an interval takes more than the substeps allowed, after so many trials, h the next."""
+    return trials >= MOST_SUBSTEPS or (trials == _JUDGED_AFTER and remaining > MOST_SUBSTEPS * h)
 
 
 def next_substep(step: float, error_norm: float) -> float:

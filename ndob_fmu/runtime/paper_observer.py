@@ -18,7 +18,6 @@ from ndob_fmu.runtime.errors import DesignError, IntegrationError
 from ndob_fmu.runtime.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.gains import LinearPart, orthogonal_factor
 from ndob_fmu.runtime.hold import History, empty_history
-from ndob_fmu.runtime.integrate import MOST_SUBSTEPS
 from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.observer import Estimate, numbers
 from ndob_fmu.runtime.riccati import Array
@@ -27,6 +26,7 @@ from ndob_fmu.runtime.times import same_time
 from ndob_fmu.runtime.zeros import require_zeros_left_of
 
 # The explicit part of the integration stays accurate while f and ln π change this little over one substep.
+_MOST_SUBSTEPS = 10_000  # in one communication step
 _LARGEST_LIPSCHITZ_STEP = 0.5
 _LARGEST_LOG_PI_STEP = 0.1
 
@@ -94,7 +94,7 @@ class PaperObserver:
     def step(self, state: ObserverState, u: Vector, y: Vector, H: float) -> tuple[ObserverState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step.
 
-        Raises IntegrationError where that takes more than `MOST_SUBSTEPS`, or the estimate leaves the finite numbers.
+        Raises IntegrationError where that takes more than `_MOST_SUBSTEPS`, or the estimate leaves the finite numbers.
         """
         start = self.estimate(state, y)
         inputs = np.array(u, dtype=float)
@@ -134,9 +134,9 @@ class PaperObserver:
     def _substeps(self, t: float, H: float) -> int:
         rise = abs(self.schedule.log_pi(t + H) - self.schedule.log_pi(t))
         substeps = max(1.0, H * self.fastest_f / _LARGEST_LIPSCHITZ_STEP, rise / _LARGEST_LOG_PI_STEP)
-        if substeps > MOST_SUBSTEPS:
+        if substeps > _MOST_SUBSTEPS:
             raise IntegrationError.report(
-                "communication step", expected=f"one of at most {MOST_SUBSTEPS} substeps", received=f"{H:g} s"
+                "communication step", expected=f"one of at most {_MOST_SUBSTEPS} substeps", received=f"{H:g} s"
             )
         return ceil(substeps)
 

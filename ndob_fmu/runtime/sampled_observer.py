@@ -36,6 +36,7 @@ _AT_REST = 1e-7
 _TUNED: Shared[Intensities] = Shared(64)
 _DESIGNS: Shared[SampledDesign] = Shared(16)
 _LARGEST_GROWTH = 700.0  # e^700 is nearly the largest number
+_FAR = 1000.0
 # A sample is refused where it lies further from its prediction than this many standard deviations, twice what the class
 # of disturbances always does, and what a jump of d by 2 D₀ could have led to since the sample before, together. After
 # so many refusals in a row it is the estimate that must be wrong: it starts anew.
@@ -351,12 +352,14 @@ class SampledObserver:
         """The longest step (s) that is worth a try.
 
         Over a longer one errors could grow beyond the largest number, by the plant's fastest mode and ‖G_f‖ γ, or the
-        integrator, which is stable for |λ| h < 4, would need too many substeps.
+        integrator, which is stable for |λ| h < 4, would need too many substeps. As a declared γ may be far larger than
+        the slopes of f where the plant works, growth is judged far beyond the model's own step only.
         """
         modes = np.linalg.eigvals(self.system.linear.A)
         growth = max(0.0, float(np.max(modes.real))) + self.system.linear.f_rate(self.equations.lipschitz)
+        grown = max(_LARGEST_GROWTH / growth, _FAR * self.equations.experiment.step_size) if growth else np.inf
         fastest = float(np.max(np.abs(modes)))
-        return min(_LARGEST_GROWTH / growth if growth else np.inf, 4.0 * MOST_SUBSTEPS / fastest if fastest else np.inf)
+        return min(grown, 4.0 * MOST_SUBSTEPS / fastest if fastest else np.inf)
 
     @property
     def _n(self) -> int:

@@ -44,7 +44,9 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
         """Lay down the study's files."""
         if self._own and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which then ends its workers
-        logging.getLogger("ndob_fmu.cosim").setLevel(logging.ERROR)  # its warnings were logged when the study was read
+        self._log = logging.getLogger("ndob_fmu.cosim")
+        self._level = self._log.level
+        self._log.setLevel(logging.ERROR)  # its warnings were logged when the study was read
         self._folder = make_folder()
         self._files: dict[str, Path] = {}
         for index, (name, content) in enumerate(self._study.files.items()):
@@ -55,10 +57,11 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
         self._idle: list[Session] = []
 
     def teardown(self, worker: Worker) -> None:
-        """Free the FMUs."""
+        """Free the FMUs, and let warnings be logged again."""
         while self._idle:
             self._idle.pop().close()
         remove_folder(self._folder)
+        self._log.setLevel(self._level)
 
     def run(self, runs: Sequence[int]) -> list[dict[str, Any]]:
         """Return a row for each run, made in a session that no other thread of the worker uses meanwhile."""

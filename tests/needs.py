@@ -1,0 +1,41 @@
+"""What tests need of the machine beside Python's packages: marks that skip with the reason where it is missing.
+
+Under CI=true a skipped test is a failure (conftest.py). README lists what each test needs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shlex
+import shutil
+import sys
+
+import pytest
+
+
+def found_c_compiler() -> bool:
+    """Return whether `cc`, or the compiler that CC names, can be found."""
+    return shutil.which(shlex.split(os.environ.get("CC", "cc"))[0]) is not None
+
+
+def _tbb() -> bool:
+    try:
+        ctypes.CDLL("libtbb.so.12")
+    except OSError:
+        return False
+    return True
+
+
+def _missing(reason: str, found: bool) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(not found, reason=reason)
+
+
+C_COMPILER = _missing("expected a C compiler, cc or the one that CC names (Debian: gcc, libc6-dev)", found_c_compiler())
+FRONT = _missing(
+    "the front of FMUs: expected Linux and a C compiler, cc or the one that CC names (Debian: gcc, libc6-dev)",
+    sys.platform == "linux" and found_c_compiler(),
+)
+ECOS = _missing(
+    "expected libtbb.so.12 and unzip, which ecos uses (Debian: libtbb12, unzip)", _tbb() and bool(shutil.which("unzip"))
+)
