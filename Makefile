@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench docs regression exits soak importers tools windows clean
+.PHONY: demo test build lint bench docs regression exits soak importers tools versions windows clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -52,6 +52,9 @@ importers: .venv/installed-test build
 
 tools: .venv/installed-test
 	$(BIN)/python tests/tools_page.py
+
+versions: .venv/installed-test
+	$(BIN)/python -m tests.versions
 
 windows: .venv/installed-test build
 	$(BIN)/python -m tests.windows.machine

@@ -10,6 +10,7 @@ from __future__ import annotations
 import keyword
 import math
 import re
+import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -318,6 +319,8 @@ class Model:
                 self._own_symbols(label, value, [*self.states, *self.inputs, *self.parameters]) for value in values
             )
         except (AttributeError, TypeError, sympy.SympifyError) as error:
+            if isinstance(error, AttributeError) and _raised_in_sympy(error):
+                raise
             raise ModelError.report(
                 f"{self.name}.{label}",
                 expected=f"{label}(x, u, p) returning a list of SymPy expressions in their attributes",
@@ -400,6 +403,12 @@ def _require_identifier(where: str, name: Any) -> None:
             received=repr(name),
             likely=f"x.{name} cannot be written in Python; {name}_ can" if plain else "",
         )
+
+
+def _raised_in_sympy(error: Exception) -> bool:
+    """Return whether the error comes from SymPy's own code: a fault of the library, not of what it was given."""
+    innermost = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1]
+    return str(innermost.f_globals.get("__name__")).partition(".")[0] == "sympy"
 
 
 def _one_line(error: Exception) -> str:

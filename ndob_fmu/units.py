@@ -69,6 +69,7 @@ def base_unit(name: str) -> BaseUnit | None:
         one, zero = (_registry().Quantity(value, formula).to_base_units() for value in (1.0, 0.0))
         powers = {_NAMES[base]: complex(power).real for base, power in one.unit_items()}
     except _not_a_unit() as error:
+        _registry().Quantity(1.0, "kg").to_base_units()  # raises where the fault is the library's, not the text's
         raise ModelError.report(
             f"unit {name!r}",
             expected="a unit of physics, like N.m, rad/s or kg.m2",
@@ -84,7 +85,6 @@ def _not_a_unit() -> tuple[type[Exception], ...]:
     import pint
 
     # pint raises these for a text that is no unit. Any other error, like a plain AttributeError, is a library's fault.
-
     return (pint.PintError, tokenize.TokenError, ArithmeticError, AssertionError, KeyError, TypeError, ValueError)
 
 

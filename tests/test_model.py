@@ -305,6 +305,13 @@ def test_a_misuse_of_f_is_explained(f, says):
     assert says in refused(f=f)
 
 
+def test_an_error_inside_sympy_is_not_blamed_on_f():
+    inside = {"__name__": "sympy.functions.stand_in"}
+    exec("def broken(x): raise AttributeError('a fault of this library')", inside)
+    with pytest.raises(AttributeError, match="of this library"):
+        plant(f=lambda x, u, p: [inside["broken"](x.a), 0, 0])
+
+
 # -- finding a model
 
 

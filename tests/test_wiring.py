@@ -12,7 +12,7 @@ from mock_components import Mock, constant, gain, integrator
 
 import ndob_fmu
 from ndob_fmu.cosim import System, Variable, simulate
-from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.errors import CouplingError, ModelError, UsageError
 from ndob_fmu.units import BaseUnit, base_unit
 
 PLANT = [Variable("motor_torque", "input", unit="N.m"), Variable("load_torque", "input", unit="N.m")]
@@ -363,11 +363,18 @@ def test_the_coupling_knows_nothing_of_models_and_observers_so_that_it_runs_any_
     assert outside <= {f"ndob_fmu.{name}" for name in general}
 
 
-def test_an_error_inside_the_library_of_units_is_not_blamed_on_the_unit(monkeypatch):
+@pytest.mark.parametrize("kind", [AttributeError, TypeError, KeyError, ValueError, AssertionError, ZeroDivisionError])
+def test_an_error_inside_the_library_of_units_is_not_blamed_on_the_unit(monkeypatch, kind):
     class Broken:
         def Quantity(self, value, formula):
-            raise AttributeError("no attribute of this library")
+            raise kind("a fault of this library")
 
     monkeypatch.setattr("ndob_fmu.units._registry", Broken)
-    with pytest.raises(AttributeError, match="of this library"):
+    with pytest.raises(kind, match="of this library"):
         base_unit("N.m")
+
+
+@pytest.mark.parametrize("text", ["parsec_", "kg.", "1/0", "N.m)", "rad0", "0xm", "kg+rad", "{", "nan$"])
+def test_a_text_that_is_no_unit_is_reported_as_such(text):
+    with pytest.raises(ModelError, match="expected a unit of physics"):
+        base_unit(text)

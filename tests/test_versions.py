@@ -1,0 +1,49 @@
+"""Which Pythons `make versions` uses, and what it says where there is none."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import versions
+
+PROJECT = (Path(__file__).parents[1] / "pyproject.toml").read_text("utf-8")
+
+
+def test_the_lowest_set_runs_on_the_oldest_python_that_the_project_allows():
+    assert re.search(r'^requires-python = ">=(.*)"', PROJECT, re.MULTILINE)[1] == versions.SETS[0].pythons[0]
+
+
+def test_each_requirement_has_one_lower_bound():
+    listed = PROJECT.split("[project]")[1].split("[tool.")[0]
+    found = re.findall(r'^    "([a-z0-9-]+)(?:\[.*\])?(>=)?', listed, re.MULTILINE)
+    bounded = [name for name, bound in found if bound]
+    assert len(bounded) >= 20
+    assert len(set(bounded)) == len(bounded)  # of two bounds only the higher one would be tried
+    assert {name for name, bound in found if not bound} == {"ndob-fmu"}
+
+
+@pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
+def test_a_python_that_a_machine_should_have_is_missed_under_ci_only(monkeypatch, tmp_path, capsys, ci, code):
+    monkeypatch.setattr(versions, "FOLDER", tmp_path)
+    monkeypatch.setattr(versions, "uv", lambda: "false")
+    monkeypatch.setattr(versions, "why_no_other_root", lambda: "")
+    monkeypatch.setattr(versions.shutil, "which", lambda *args, **options: None)
+    monkeypatch.setenv("CI", ci)
+    assert versions.run(versions.SETS[1]) == code
+    assert (
+        capsys.readouterr().out
+        == "versions, newest: nothing is tried; debootstrap is missing: apt-get install debootstrap\n"
+    )
+
+
+def test_a_machine_that_can_have_no_newest_python_says_so_in_one_line(monkeypatch, capsys):
+    monkeypatch.setenv("CI", "true")
+    monkeypatch.setattr(versions, "uv", lambda: "false")
+    monkeypatch.setattr(versions, "why_no_other_root", lambda: "only root can run Debian in a folder")
+    assert versions.run(versions.SETS[1]) == 0
+    assert capsys.readouterr().out == (
+        "versions, newest: nothing is tried; uv neither finds nor downloads Python 3.14, "
+        "and only root can run Debian in a folder\n"
+    )
