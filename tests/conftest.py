@@ -9,11 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from ndob_fmu import build, load_model
 from ndob_fmu.components import build_components, build_controller
 from ndob_fmu.cosim import build_ssp, parameter_sets
 from ndob_fmu.shipped import shipped_folder
+
+# A test of random cases that says no number itself has few in the suite, and many in `make soak`, where they vary.
+settings.register_profile("suite", max_examples=25, deadline=None, derandomize=True)
+settings.register_profile("soak", max_examples=1000, deadline=None, print_blob=True)
+settings.load_profile("suite")
 
 STRICT = os.environ.get("CI", "").lower() == "true"
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import sympy
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import BAD, MODELS, RANDOM, BadProblem, Problem, minimum_phase_systems, system_with_zeros, to_model
 
@@ -108,14 +108,12 @@ def test_zeros_agree_with_two_random_squarings_down(problem):
     assert_same_zeros(transmission_zeros(linear), common, 1e-5)
 
 
-@settings(max_examples=60, deadline=None)
 @given(problem=minimum_phase_systems(), seed=st.integers(0, 10**6))
 def test_zeros_keep_six_digits_whatever_the_units(problem, seed):
     rescaled = in_units(problem.linear, *units_of(problem, seed, decades=5.0))
     assert_same_zeros(transmission_zeros(rescaled), problem.zeros, 1e-6)
 
 
-@settings(max_examples=60, deadline=None)
 @given(problem=minimum_phase_systems(), seed=st.integers(0, 10**6))
 def test_drawn_systems_satisfy_every_assumption_in_any_units(problem, seed):
     rescaled = in_units(problem.linear, *units_of(problem, seed, decades=5.0))

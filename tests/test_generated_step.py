@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from problems import MODELS, RANDOM, to_model
 
@@ -99,7 +99,6 @@ def assert_close(mine, theirs, scale):
     np.testing.assert_array_less(np.abs(np.subtract(mine, theirs)), WITHIN * (np.abs(theirs) + scale) + 1e-300)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
 @given(name=NAMES, order=st.integers(0, 3), H=st.sampled_from([1e-3, 2e-2]), seed=SEEDS)
 def test_the_observers_step_is_the_definitions_over_random_states_and_samples(name, order, H, seed):
     observer, state = observer_of(name, order, H)
@@ -135,7 +134,6 @@ def test_the_observers_step_is_the_definitions_over_random_states_and_samples(na
     assert estimate_by_definition.valid
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
 @given(name=NAMES, H=st.sampled_from([1e-3, 2e-2, 0.3]), seed=SEEDS)
 def test_the_plants_step_is_the_definitions_over_random_states_and_generators(name, H, seed):
     """The generators may jump within the step, and a long one takes several substeps."""
