@@ -42,7 +42,7 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.attacks.names --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.steps --trials 2000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
-	$(BIN)/pytest -n 2 --hypothesis-profile soak tests/test_assumptions.py tests/test_generated_step.py
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile soak tests/test_assumptions.py tests/test_generated_step.py
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.bit_flips --trials 2000 --seed 1
 	$(BIN)/python -m tests.attacks.study_files --trials 10000 --seed 1
