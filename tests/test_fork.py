@@ -50,7 +50,7 @@ def test_children_that_are_forked_while_a_thread_steps_are_refused_at_once_and_t
 
 
 PROGRAM = """
-import os, sys, threading, time
+import os, sys, threading, time, warnings
 from pathlib import Path
 from tests.fuzz.library import ERROR, OK, Library
 
@@ -67,6 +67,7 @@ def steps():
 
 thread = threading.Thread(target=steps)
 thread.start()
+warnings.simplefilter("ignore", DeprecationWarning)  # from Python 3.12 on, of a fork while threads run: the matter here
 codes = []
 for k in range(int(sys.argv[2])):
     time.sleep(0.003)

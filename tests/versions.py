@@ -21,15 +21,17 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "versions"
 LEFT_OUT = ("test_native_host.py",)
-# What the suite needs besides Python: a compiler, git, and what ecos loads and calls.
-PACKAGES = "python3,python3-venv,python3-dev,gcc,libc6-dev,git,unzip,libtbb12,ca-certificates"
+# What the suite needs besides Python: compilers for Linux and Windows, git, and what ecos loads and calls.
+PACKAGES = (
+    "python3,python3-venv,python3-dev,gcc,libc6-dev,gcc-mingw-w64-x86-64-win32,git,unzip,libtbb12,ca-certificates"
+)
 # Run in a mount namespace of its own, so that nothing stays mounted. $1: the new root, $2: this checkout.
 INSIDE = """
 set -e
 mkdir -p "$1$2"
 mount --bind "$2" "$1$2"
 mount --bind /dev "$1/dev"
-mount -t proc proc "$1/proc"
+mount --bind /proc "$1/proc"
 [ ! -f "${SSL_CERT_FILE-}" ] || mount --bind "$SSL_CERT_FILE" "$1/etc/ssl/certs/ca-certificates.crt"
 [ ! -f "${SSL_CERT_FILE-}" ] || export SSL_CERT_FILE=/etc/ssl/certs/ca-certificates.crt
 root=$1 checkout=$2
@@ -108,8 +110,7 @@ def other_root(suite: str) -> list[str]:
                 raise UnavailableError(f"debootstrap cannot install Debian {suite}: {log.name}")
         stamp.touch()  # last, so that an installation that was interrupted is tried again
     shutil.copy("/etc/resolv.conf", root / "etc" / "resolv.conf")
-    namespaces = ["unshare", "--mount", "--pid", "--fork", "--kill-child"]
-    return [*namespaces, "sh", "-c", INSIDE, "sh", str(root), str(ROOT)]
+    return ["unshare", "--mount", "sh", "-c", INSIDE, "sh", str(root), str(ROOT)]
 
 
 def python_of(wanted: VersionSet) -> tuple[list[str], str] | None:
@@ -143,7 +144,7 @@ def run(wanted: VersionSet) -> int:
     folder = FOLDER / wanted.name
     python = [*before, str(folder / "bin" / "python")]
     install = ["pip", "install", "--quiet", "--python", str(folder), "--resolution", wanted.resolution, "-e", ".[test]"]
-    for words in (["venv", "--quiet", "--clear", "--python", base, str(folder)], install):
+    for words in (["venv", "--quiet", "--seed", "--clear", "--python", base, str(folder)], install):
         if subprocess.run([*before, str(uv()), *words], cwd=ROOT, env=for_uv(), check=False).returncode:
             print(f"versions, {wanted.name}: uv cannot install the packages, see its message above")
             return 1
