@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 
 import numpy as np
-from tqdm import tqdm
 
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Component
 from ndob_fmu.cosim.exchange import exchange
+from ndob_fmu.cosim.progress_bar import tqdm
 from ndob_fmu.cosim.rows import Rows
 from ndob_fmu.cosim.schemes import SCHEMES, Ending, earliest
 from ndob_fmu.cosim.wiring import Wiring

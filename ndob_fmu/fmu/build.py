@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 import uuid
 import xml.etree.ElementTree as ET
@@ -63,10 +64,22 @@ def package(path: Path, content: Bundle, variables: tuple[Variable, ...], added:
             inside.parent.mkdir(parents=True, exist_ok=True)
             inside.write_text(text, "utf-8")
         carried = {source / Path(relative).parts[0] for relative in content.files if relative != content.entry}
-        stock = FmuBuilder.build_FMU(source / content.entry, dest=work, project_files=sorted(carried))
+        with _no_source_date():
+            stock = FmuBuilder.build_FMU(source / content.entry, dest=work, project_files=sorted(carried))
         with atomic_path(path) as target:
             _repack(stock, target, variables, added)
     return path
+
+
+@contextmanager
+def _no_source_date() -> Iterator[None]:
+    """Hide SOURCE_DATE_EPOCH: from Python 3.14 on zipfile takes it for pythonfmu's archive and fails before 1980."""
+    before = os.environ.pop("SOURCE_DATE_EPOCH", None)
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.environ["SOURCE_DATE_EPOCH"] = before
 
 
 def _repack(stock: Path, target: Path, variables: tuple[Variable, ...], added: Mapping[str, bytes]) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from distributed import Client, Future, TimeoutError, wait  # noqa: A004 # Python 3.10's own is another one
-from tqdm import tqdm
 
+from ndob_fmu.cosim.progress_bar import tqdm
 from ndob_fmu.errors import NdobError, SimulationError
 from ndob_fmu.interrupts import check_interrupt
 from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
@@ -151,6 +151,7 @@ class _Crew:
 
     def _wait(self) -> list[Future]:
         patience = time.monotonic() + _LOST_AFTER
+        check_interrupt()
         while not (done := self._done_within(1.0)):
             check_interrupt()
             alive = self._count()
