@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from fmpy.model_description import read_model_description
 from ndob_fmu.cosim.archive import open_archive
 from ndob_fmu.cosim.component import Variable
 from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.values import convert
+from ndob_fmu.cosim.values import convert, finite_number
 from ndob_fmu.errors import CouplingError, some_of
 from ndob_fmu.units import BASE_UNITS, BaseUnit
 
@@ -133,20 +132,8 @@ def _experiment(entry: Any, path: Path) -> Experiment:
     if entry is None:
         return Experiment()
     start, stop, step, tolerance = (
-        _number(f"{path}, {name} of DefaultExperiment", getattr(entry, name))
+        finite_number(f"{path}, {name} of DefaultExperiment", getattr(entry, name))
         for name in ("startTime", "stopTime", "stepSize", "tolerance")
     )
     # A tolerance of zero is what some exporters write for none.
     return Experiment(start, stop, step, tolerance if tolerance and tolerance > 0 else None)
-
-
-def _number(where: str, text: Any) -> float | None:
-    if text is None:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise CouplingError.report(where, expected="a finite number", received=repr(text))
-    return value

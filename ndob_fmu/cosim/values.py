@@ -1,11 +1,12 @@
-"""Start values as people and files write them, turned into what the variable's FMI type takes."""
+"""Values as people and files write them: start values in the variable's FMI type, and numbers of descriptions."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from ndob_fmu.cosim.component import Value, Variable
-from ndob_fmu.errors import UsageError, one_of
+from ndob_fmu.errors import CouplingError, UsageError, one_of
 
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
@@ -31,3 +32,16 @@ def convert(variable: Variable, value: Any, where: str) -> Value:
     if variable.items:
         wanted = one_of("item", (f"{name} = {number}" for name, number in variable.items), text)
     raise UsageError.report(where, expected=f"{wanted} ({variable.type})", received=repr(text))
+
+
+def finite_number(where: str, text: str | None, expected: str = "a finite number") -> float | None:
+    """Return the number that a description gives, None where it gives none; raise CouplingError if it is not finite."""
+    if text is None:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CouplingError.report(where, expected=expected, received=repr(text))
+    return value

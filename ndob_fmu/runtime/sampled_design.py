@@ -83,7 +83,7 @@ class SampledDesign:
         return np.asarray(np.linalg.norm(selector @ factor, axis=1))
 
     def innovation_noise_std(self) -> Array:
-        """Return the standard deviation (p,) of y − C ξ̂⁻ at rest by the noise of this sample and of those before it."""
+        """Return the standard deviation (p,) that sample noise gives y − C ξ̂⁻ once the gain has converged."""
         return np.asarray(np.linalg.norm(self._innovation_noise(), axis=1))
 
     def _innovation_noise(self) -> Array:

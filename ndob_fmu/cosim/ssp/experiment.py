@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.ssp.schema import Element, child, children, local_name
 from ndob_fmu.cosim.ssp.structure import components
-from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.cosim.values import finite_number
+from ndob_fmu.errors import UsageError
 
 _OSP = "com.opensimulationplatform"
 _ROUNDING = 1e-6  # of a ratio: two step sizes, each rounded to the digits of a file
@@ -63,13 +62,4 @@ def _annotated(element: Element, name: str) -> Element | None:
 
 
 def _seconds(where: str, element: Element, attribute: str) -> float | None:
-    text = element.get(attribute)
-    if text is None:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise CouplingError.report(f"{where}, {attribute}", expected="a finite number of seconds", received=repr(text))
-    return value
+    return finite_number(f"{where}, {attribute}", element.get(attribute), "a finite number of seconds")
