@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import lower_bounds
 import pytest
 import versions
 
@@ -22,6 +23,20 @@ def test_each_requirement_has_one_lower_bound():
     assert len(bounded) >= 20
     assert len(set(bounded)) == len(bounded)  # of two bounds only the higher one would be tried
     assert {name for name, bound in found if not bound} == {"ndob-fmu"}
+
+
+def test_a_bound_that_another_package_lifts_is_told_with_the_one_that_does():
+    listed = ["a>=1.0", 'b>=2.1; extra == "test"', 'c>=3; extra == "other"', 'd>=4; python_version < "3"', "e>=5", "f"]
+    direct = lower_bounds.needed(listed, "test")
+    assert [one.name for one in direct] == ["a", "b", "e", "f"]
+    installed = {"a": "1.0.0", "b": "2.2", "e": "5.1", "f": "6"}
+    lines = lower_bounds.not_at_bound(direct, installed.__getitem__, lambda name: ["g 7 (>=2.2)"] * (name == "b"))
+    assert lines == [
+        "b: expected the lower bound 2.1, received 2.2; needed by g 7 (>=2.2)",
+        "e: expected the lower bound 5, received 5.1; no such release, or others exclude what it needs",
+        "f: expected the lower bound None, received 6; no such release, or others exclude what it needs",
+    ]
+    assert lower_bounds.not_at_bound(direct[:1], installed.__getitem__, lambda name: []) == []
 
 
 @pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])

@@ -4,6 +4,7 @@ python -m tests.versions [lowest] [newest]      both without a name; about twelv
 
 Each set has an environment in build/versions/, filled by uv. Its Python is one that uv finds or downloads; else
 it is Debian's, in a folder that debootstrap fills (root only: it changes the root folder).
+A lower bound that is not installed in the lowest set fails too: the suite would not have tried it.
 Left out are the tests of native hosts, which `make test` runs. Tests of a browser are skipped where there is none.
 """
 
@@ -148,6 +149,9 @@ def run(wanted: VersionSet) -> int:
         if subprocess.run([*before, str(uv()), *words], cwd=ROOT, env=for_uv(), check=False).returncode:
             print(f"versions, {wanted.name}: uv cannot install the packages, see its message above")
             return 1
+    code = 0
+    if wanted.resolution == "lowest-direct":
+        code = subprocess.run([*python, "-m", "tests.lower_bounds"], cwd=ROOT, check=False).returncode
     show = [*python, "-c", "import platform; print(platform.python_version())"]
     version = subprocess.run(show, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
     left_out = [f"--ignore=tests/{name}" for name in LEFT_OUT]
@@ -162,7 +166,7 @@ def run(wanted: VersionSet) -> int:
             if re.search(r"\d+ (passed|failed|errors?)\b.* in [\d.]+s", line):
                 counts = line.strip(" =\n")
     print(f"versions, {wanted.name}: Python {version}, {counts}")
-    return running.returncode
+    return running.returncode or code
 
 
 def main(names: list[str]) -> int:

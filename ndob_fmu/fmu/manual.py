@@ -82,28 +82,6 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
         braced.appendChild(table)
         return braced
 
-    def doprint(self, expression: sympy.Expr) -> str:
-        """Return the formula, its brackets written out: SymPy before 1.13 fences them, which browsers do not show."""
-        whole = self.dom.createElement("mrow")
-        whole.appendChild(self._print(expression))
-        for fenced in whole.getElementsByTagName("mfenced"):
-            self._write_out(fenced)
-        text: str = whole.toxml()
-        return text
-
-    def _write_out(self, fenced: Any) -> None:
-        separator, inside = fenced.getAttribute("separators") or ",", list(fenced.childNodes)
-        between = [[self._text("mo", separator), entry] for entry in inside[1:]]
-        row = self.dom.createElement("mrow")
-        for node in (
-            self._text("mo", fenced.getAttribute("open") or "("),
-            *inside[:1],
-            *(node for pair in between for node in pair),
-            self._text("mo", fenced.getAttribute("close") or ")"),
-        ):
-            row.appendChild(node)
-        fenced.parentNode.replaceChild(row, fenced)
-
     def _text(self, tag: str, text: str) -> Any:
         element = self.dom.createElement(tag)
         element.appendChild(self.dom.createTextNode(text))
