@@ -33,7 +33,7 @@ regression: .venv/installed-test build
 	$(BIN)/python fmus/regression.py build/fmus
 
 exits: .venv/installed-test
-	$(BIN)/python tests/native_host.py 100
+	$(BIN)/python -m tests.helpers.native_host 100
 
 soak: .venv/installed-test build
 	$(BIN)/python -m tests.fuzz --calls 100000 --seed 1 --fmus build/fmus
@@ -42,17 +42,17 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.attacks.names --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.steps --trials 2000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
-	$(BIN)/python -m pytest -n 2 --hypothesis-profile soak tests/test_assumptions.py tests/test_generated_step.py
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile soak tests/analysis/test_assumptions.py tests/codegen/test_generated_step.py
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.bit_flips --trials 2000 --seed 1
 	$(BIN)/python -m tests.attacks.study_files --trials 10000 --seed 1
 	$(BIN)/python -m tests.attacks.interrupts --trials 20 --seed 1
 
 importers: .venv/installed-test build
-	$(BIN)/python tests/other_importers.py
+	$(BIN)/python -m tests.importers.other_importers
 
 tools: .venv/installed-test
-	$(BIN)/python tests/tools_page.py
+	$(BIN)/python -m tests.importers.tools_page
 
 versions: .venv/installed-test
 	$(BIN)/python -m tests.versions

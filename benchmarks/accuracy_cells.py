@@ -20,13 +20,13 @@ from ndob_fmu import build, load_model
 from ndob_fmu.cosim import Connection, FmuComponent, Port, simulate
 from ndob_fmu.cosim import System as Coupled
 from ndob_fmu.cosim.component import recordable
-from ndob_fmu.runtime.augmented import augment
-from ndob_fmu.runtime.disturbance import KINDS
-from ndob_fmu.runtime.gains import LinearPart
-from ndob_fmu.runtime.paper_observer import paper_observer
-from ndob_fmu.runtime.sampled_observer import SampledObserver, sampled_observer
-from ndob_fmu.runtime.schedule import PiSchedule
-from ndob_fmu.runtime.tuning import at_bandwidth, tuned_intensities
+from ndob_fmu.runtime.blocks.disturbance import KINDS
+from ndob_fmu.runtime.design.augmented import augment
+from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.design.schedule import PiSchedule
+from ndob_fmu.runtime.design.tuning import at_bandwidth, tuned_intensities
+from ndob_fmu.runtime.step.paper_observer import paper_observer
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 
 MODEL = "flexible_joint"
 OUTPUTS = ("motor_angle", "link_angle")

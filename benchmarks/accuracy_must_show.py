@@ -12,8 +12,8 @@ from scipy.linalg import expm
 
 from benchmarks.accuracy_cells import D0, MODEL, SIGNALS, Plan, Record, in_parallel, observed, record, score, setting
 from ndob_fmu import build, load_model
-from ndob_fmu.runtime.sampled_design import SampledDesign, sampled_design
-from ndob_fmu.runtime.tuning import at_bandwidth
+from ndob_fmu.runtime.design.sampled_design import SampledDesign, sampled_design
+from ndob_fmu.runtime.design.tuning import at_bandwidth
 
 CONSTANT, RAMP, _, SINE_1, SINE_5, _ = SIGNALS
 _REQUIRED_SINE = {SINE_1: {1e-3: 2e-7, 5e-3: 2e-5, 1e-2: 2e-4}, SINE_5: {1e-3: 2e-5, 5e-3: 2e-3, 1e-2: 1.5e-2}}

@@ -10,7 +10,7 @@ from benchmarks.figures import Section, Time, compared
 from benchmarks.models import carts
 from benchmarks.timing import take_turns
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
-from ndob_fmu.runtime.sampled_observer import sampled_observer
+from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 
 STEP = 1e-3
 SIZES, DESIGNED = (4, 8, 16, 32, 64), (4, 8, 16)

@@ -12,7 +12,7 @@ from benchmarks.coupling import TOOLS, Job, spent
 from benchmarks.figures import Section, Time, compared
 from ndob_fmu import build, load_model
 from ndob_fmu.cosim import build_ssp
-from ndob_fmu.shipped import shipped_folder
+from ndob_fmu.support.shipped import shipped_folder
 
 ROUNDS = {1: 3, 2: 7}
 METHODS = {1: "method 1, the paper's, as shipped", 2: "method 2, the sampled-data design"}

@@ -18,9 +18,9 @@ from fmpy.fmi2 import FMU2Slave
 from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu import Model, build
-from ndob_fmu.runtime.disturbance import KINDS, Generator
-from ndob_fmu.runtime.interface import Variable, observer_variables
-from ndob_fmu.runtime.plant import Plant
+from ndob_fmu.interface.model_variables import Variable, observer_variables
+from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
+from ndob_fmu.runtime.blocks.plant import Plant
 
 STEP = 1e-3
 WARM_UP = 15_000  # steps, after which the gains of all models of the benchmarks are frozen

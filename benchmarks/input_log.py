@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ndob_fmu.results import Recording, read_csv, write_csv
+from ndob_fmu.results.recordings import Recording, read_csv, write_csv
 
 SIGNALS = ("plant.motor_angle", "plant.link_angle")
 _LARGE = (200_000, 100)  # rows, signals

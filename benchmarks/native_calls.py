@@ -15,8 +15,8 @@ import tempfile
 from pathlib import Path
 
 from ndob_fmu import build, load_model
-from ndob_fmu.runtime.interface import observer_variables
-from tests.native_host import compile_host, unpack
+from ndob_fmu.interface.model_variables import observer_variables
+from tests.helpers.native_host import compile_host, unpack
 
 LIMIT = 10.0
 

@@ -22,9 +22,9 @@ import psutil
 
 from ndob_fmu import build, load_model
 from ndob_fmu.cosim import build_ssp
-from ndob_fmu.shipped import shipped_folder
 from ndob_fmu.study import read_study, sweep
 from ndob_fmu.study.sweep import Tally
+from ndob_fmu.support.shipped import shipped_folder
 
 DEMO = """
 system = "open_loop.ssp"

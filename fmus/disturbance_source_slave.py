@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.component_interface import DESCRIPTIONS, EXPERIMENT, source_variables
-from ndob_fmu.runtime.disturbance_source import Signal, disturbance_source
+from ndob_fmu.interface.component_variables import DESCRIPTIONS, EXPERIMENT, source_variables
+from ndob_fmu.runtime.blocks.disturbance_source import Signal, disturbance_source
 from ndob_fmu.runtime.times import same_time
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.component_interface import DESCRIPTIONS, EXPERIMENT, encoder_variables
-from ndob_fmu.runtime.encoder import MISSING, Encoder, EncoderState
+from ndob_fmu.interface.component_variables import DESCRIPTIONS, EXPERIMENT, encoder_variables
+from ndob_fmu.runtime.blocks.encoder import MISSING, Encoder, EncoderState
 
 
 class EncoderSlave(Slave):

@@ -7,16 +7,16 @@ from math import isfinite
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.channel import ChannelState, lumped, lumped_bound, lumped_rate, read_out
+from ndob_fmu.interface.model_variables import METHODS, for_each_disturbance, observer_variables
+from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.equations import Equations
-from ndob_fmu.runtime.errors import IntegrationError
-from ndob_fmu.runtime.hold import History
-from ndob_fmu.runtime.interface import METHODS, for_each_disturbance, observer_variables
-from ndob_fmu.runtime.observer import Estimate
-from ndob_fmu.runtime.paper_observer import ObserverState, PaperObserver, paper_observer
-from ndob_fmu.runtime.sampled_observer import SampledObserver, sampled_observer
-from ndob_fmu.runtime.sampled_state import Confidence, SampledState
-from ndob_fmu.runtime.schedule import PiSchedule
+from ndob_fmu.runtime.numerics.hold import History
+from ndob_fmu.runtime.step.channel import ChannelState, lumped, lumped_bound, lumped_rate, read_out
+from ndob_fmu.runtime.step.observer import Estimate
+from ndob_fmu.runtime.step.paper_observer import ObserverState, PaperObserver, paper_observer
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
+from ndob_fmu.runtime.step.sampled_state import Confidence, SampledState
 
 
 class ObserverSlave(Slave):

@@ -10,10 +10,10 @@ from typing import Any
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.disturbance import Generator
+from ndob_fmu.interface.model_variables import for_each_disturbance, plant_variables
+from ndob_fmu.runtime.blocks.disturbance import Generator
+from ndob_fmu.runtime.blocks.plant import Plant, PlantState
 from ndob_fmu.runtime.equations import Equations
-from ndob_fmu.runtime.interface import for_each_disturbance, plant_variables
-from ndob_fmu.runtime.plant import Plant, PlantState
 from ndob_fmu.runtime.times import same_time
 
 

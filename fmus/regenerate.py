@@ -23,16 +23,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from ndob_fmu import load_model
-from ndob_fmu.results import Recording, atomic_path, write_csv
-from ndob_fmu.runtime.paper_observer import paper_observer
-from ndob_fmu.runtime.sampled_observer import sampled_observer
-from ndob_fmu.runtime.schedule import PiSchedule
-
-Array = NDArray[np.float64]
+from ndob_fmu.results.recordings import Recording, atomic_path, write_csv
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.schedule import PiSchedule
+from ndob_fmu.runtime.step.paper_observer import paper_observer
+from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 
 STOP_TIME = 20.0
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")

@@ -39,9 +39,9 @@ from fmus.slave_guards import (
 from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Received, Snapshot, from_bytes, to_bytes
 from fmus.slave_state_faults import same_form, state_fault
+from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.runtime.base_errors import NdobError
 from ndob_fmu.runtime.equations import Experiment
-from ndob_fmu.runtime.errors import NdobError
-from ndob_fmu.runtime.interface import Variable
 
 _TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer, "String": String}
 _NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import inf, isfinite, ulp
 from typing import Any
 
-from ndob_fmu.runtime.errors import NdobError
-from ndob_fmu.runtime.interface import Variable
+from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.runtime.base_errors import NdobError
 
 # What computing with impossible numbers raises; LinAlgError is a ValueError.
 _IMPOSSIBLE = (ArithmeticError, ValueError)

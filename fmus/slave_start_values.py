@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from fmus.slave_guards import is_declared
-from ndob_fmu.runtime.errors import NdobError
-from ndob_fmu.runtime.interface import Variable
+from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.runtime.base_errors import NdobError
 
 FILE = "start_values.json"
 

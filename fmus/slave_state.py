@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ndob_fmu.runtime.errors import NdobError
+from ndob_fmu.runtime.base_errors import NdobError
 
 _ARRAY, _TUPLE, _STATE = "array", "tuple", "state"
 _DTYPES = ("<f8", "<i8", "|b1")

@@ -14,8 +14,8 @@ import numpy as np
 
 from fmus.slave_guards import TIME_TOLERANCE, experiment_fault, is_declared, parameter_fault, stop_fault
 from fmus.slave_state import Snapshot
-from ndob_fmu.runtime.errors import NdobError
-from ndob_fmu.runtime.interface import Variable
+from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.runtime.base_errors import NdobError
 
 
 def state_fault(snapshot: Snapshot, variables: Sequence[Variable]) -> NdobError | None:

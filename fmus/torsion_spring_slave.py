@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.component_interface import DESCRIPTIONS, EXPERIMENT, spring_variables
-from ndob_fmu.runtime.torsion_spring import spring_torques
+from ndob_fmu.interface.component_variables import DESCRIPTIONS, EXPERIMENT, spring_variables
+from ndob_fmu.runtime.blocks.torsion_spring import spring_torques
 
 
 class TorsionSpringSlave(Slave):

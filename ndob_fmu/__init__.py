@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import Any
 
 __version__ = "0.1.0"
 
 # Loaded on first use, so that the core that runs inside an FMU pulls in neither SymPy, SciPy, fmpy nor pythonfmu.
 _HOME = {
-    "Model": "ndob_fmu.model",
+    "Model": "ndob_fmu.model.model",
     "ObserverDefaults": "ndob_fmu.runtime.equations",
     "SignalDefaults": "ndob_fmu.runtime.equations",
     "Experiment": "ndob_fmu.runtime.equations",
-    "load_model": "ndob_fmu.loading",
-    "check": "ndob_fmu.assumptions",
-    "design": "ndob_fmu.design",
+    "load_model": "ndob_fmu.model.loading",
+    "check": "ndob_fmu.analysis.assumptions",
+    "design": "ndob_fmu.analysis.design",
     "build": "ndob_fmu.fmu",
     "simulate": "ndob_fmu.cosim",
     "System": "ndob_fmu.cosim",
@@ -49,13 +47,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})  # a prompt completes the names that are not loaded yet
-
-
-class _Package(ModuleType):
-    def __setattr__(self, name: str, value: Any) -> None:
-        # Importing a submodule sets it on its package; the module `design` would hide the function of that name.
-        if not (name in _HOME and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

@@ -15,10 +15,10 @@ from typing import Any, NoReturn
 
 from ndob_fmu import __version__
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
-from ndob_fmu.extras import extra
-from ndob_fmu.interrupts import exit_code, interruptible, received
-from ndob_fmu.progress import PATIENCE, begin, shown_after
-from ndob_fmu.temporary import remove_folders
+from ndob_fmu.support.extras import extra
+from ndob_fmu.support.interrupts import exit_code, interruptible, received
+from ndob_fmu.support.progress import PATIENCE, begin, shown_after
+from ndob_fmu.support.temporary import remove_folders
 
 _BUILD = Path("build")
 _DEMO_MODEL = "flexible_joint"
@@ -96,8 +96,8 @@ def _check(options: argparse.Namespace) -> int:
         return _check_system(options)
     if options.picture is not None:
         raise UsageError.report("--picture", expected="a system (.ssp) to draw", received=options.model)
-    from ndob_fmu.assumptions import check
-    from ndob_fmu.loading import load_model
+    from ndob_fmu.analysis.assumptions import check
+    from ndob_fmu.model.loading import load_model
 
     report = check(load_model(options.model))
     print(_json(report.to_dict()) if options.json else report)
@@ -114,8 +114,8 @@ def _check_system(options: argparse.Namespace) -> int:
 
 
 def _design(options: argparse.Namespace) -> int:
-    from ndob_fmu.design import design
-    from ndob_fmu.loading import load_model
+    from ndob_fmu.analysis.design import design
+    from ndob_fmu.model.loading import load_model
 
     result = design(
         load_model(options.model),
@@ -139,11 +139,11 @@ def _build(options: argparse.Namespace) -> int:
 
 def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
     """Build one after the other and yield their paths; the FMUs that no design can fail for come first."""
-    from ndob_fmu.components import build_components, build_controller
     from ndob_fmu.cosim import build_ssp, parameter_sets
     from ndob_fmu.fmu import build
-    from ndob_fmu.loading import load_model
-    from ndob_fmu.shipped import shipped_folder
+    from ndob_fmu.fmu.components import build_components, build_controller
+    from ndob_fmu.model.loading import load_model
+    from ndob_fmu.support.shipped import shipped_folder
 
     model = load_model(name)
     yield from build(model, out)
@@ -163,8 +163,8 @@ def _build_demo() -> Path:
 
 def _simulate(options: argparse.Namespace) -> int:
     from ndob_fmu.cosim import simulate
-    from ndob_fmu.results import write_csv
-    from ndob_fmu.run_folder import simulate_into
+    from ndob_fmu.cosim.run_folder import simulate_into
+    from ndob_fmu.results.recordings import write_csv
 
     if options.demo == (options.system is not None):
         raise UsageError.report(
@@ -205,7 +205,7 @@ def _simulate(options: argparse.Namespace) -> int:
     else:
         print(f"{rows}; --output-file FILE or --results DIR keeps them")
     if options.show_plot:
-        from ndob_fmu import plots
+        from ndob_fmu.results import plots
 
         plots.show(recording)
     if failure is not None:

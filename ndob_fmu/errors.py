@@ -6,10 +6,10 @@ import difflib
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from ndob_fmu.runtime.errors import MESSAGE_LIMIT, AssumptionError, DesignError, NdobError, shortened
+from ndob_fmu.runtime.base_errors import MESSAGE_LIMIT, AssumptionError, DesignError, NdobError, shortened
 
 if TYPE_CHECKING:
-    from ndob_fmu.results import Recording
+    from ndob_fmu.results.recordings import Recording
 
 _LISTED = 100  # characters: longer lists are shortened to a few names and a count
 _NEAREST = 3

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import settings
 
 from ndob_fmu import build, load_model
-from ndob_fmu.components import build_components, build_controller
 from ndob_fmu.cosim import build_ssp, parameter_sets
-from ndob_fmu.shipped import shipped_folder
+from ndob_fmu.fmu.components import build_components, build_controller
+from ndob_fmu.support.shipped import shipped_folder
 
 # A test of random cases that says no number itself has few in the suite, and many in `make soak`, where they vary.
 settings.register_profile("suite", max_examples=25, deadline=None, derandomize=True)
@@ -45,7 +45,7 @@ def nothing_left_behind(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True, scope="session")
 def patient():
-    """On a busy machine commands take long; what they say then is the matter of tests/test_progress.py alone."""
+    """On a busy machine commands take long; tests/support/test_progress.py alone tests what they say then."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ndob_fmu.cli.PATIENCE", 600.0)
         yield

@@ -24,8 +24,11 @@ ROOT = Path(__file__).parents[1]
 # The kernels, and the names by which OpenBLAS reports them: it may use Prescott's for Katmai, and say so.
 KERNELS = {"Haswell": ("Haswell",), "Sandybridge": ("Sandybridge",), "Prescott": ("Prescott", "Katmai"), "": ()}
 NUMERICAL = [
-    f"tests/test_{name}.py"
-    for name in ("kalman", "sampled_design", "tuning", "riccati", "zeros", "exponential", "augmented", "certificate")
+    *(
+        f"tests/runtime/test_{name}.py"
+        for name in ("kalman", "sampled_design", "tuning", "riccati", "zeros", "exponential", "augmented")
+    ),
+    "tests/analysis/test_certificate.py",
 ]
 # What takes long and looks at the optimum alone.
 _LEFT_OUT = ("-k", "not no_other_intensity")

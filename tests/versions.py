@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "versions"
-LEFT_OUT = ("test_native_host.py",)
+LEFT_OUT = ("fmu/test_native_host.py",)
 # What the suite needs besides Python: compilers for Linux and Windows, git, and what ecos loads and calls.
 PACKAGES = (
     "python3,python3-venv,python3-dev,gcc,libc6-dev,gcc-mingw-w64-x86-64-win32,git,unzip,libtbb12,ca-certificates"

@@ -1,12 +1,12 @@
 """Coupled simulation of FMUs: any FMI 2.0 co-simulation FMUs, wired in Python or by an SSP package."""
 
 from ndob_fmu.cosim.component import Component, Value, Variable
-from ndob_fmu.cosim.fmu import FmuComponent
-from ndob_fmu.cosim.loops import Loop, algebraic_loops
+from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.run import open_system, simulate
 from ndob_fmu.cosim.ssp import build_ssp, check_ssp, open_ssp, parameter_sets
-from ndob_fmu.cosim.system import Connection, Port, System
-from ndob_fmu.results import Recording
+from ndob_fmu.cosim.system.loops import Loop, algebraic_loops
+from ndob_fmu.cosim.system.system import Connection, Port, System
+from ndob_fmu.results.recordings import Recording
 
 __all__ = [
     "Component",

@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ndob_fmu.units import BaseUnit
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.support.units import BaseUnit
 
 Value: TypeAlias = float | int | bool | str
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

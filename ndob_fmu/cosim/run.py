@@ -11,19 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ndob_fmu.cosim import master
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.fmu import FmuComponent
-from ndob_fmu.cosim.inputs import NO_INPUTS, read_inputs
-from ndob_fmu.cosim.loops import algebraic_loops
+from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
+from ndob_fmu.cosim.master import master
 from ndob_fmu.cosim.ssp import open_ssp
-from ndob_fmu.cosim.system import Port, System
-from ndob_fmu.cosim.wiring import Wiring, keep_start_values, wire
+from ndob_fmu.cosim.system.inputs import NO_INPUTS, read_inputs
+from ndob_fmu.cosim.system.loops import algebraic_loops
+from ndob_fmu.cosim.system.system import Port, System
+from ndob_fmu.cosim.system.wiring import Wiring, keep_start_values, wire
 from ndob_fmu.errors import SimulationError, UsageError, shortened
-from ndob_fmu.interrupts import interruptible
-from ndob_fmu.results import Recording
+from ndob_fmu.results.recordings import Recording
+from ndob_fmu.support.interrupts import interruptible
 
 _log = logging.getLogger(__name__)
 

@@ -14,18 +14,18 @@ from pathlib import Path
 
 from pythonfmu.builder import FmuBuilder
 
-from ndob_fmu.assumptions import check
-from ndob_fmu.emit import emit_python
+from ndob_fmu.analysis.assumptions import check
+from ndob_fmu.codegen.emit import emit_python
+from ndob_fmu.fmu.archive_files import extras
 from ndob_fmu.fmu.bundle import Bundle, bundle
-from ndob_fmu.fmu.description import complete
-from ndob_fmu.fmu.extras import extras
-from ndob_fmu.fmu.front import with_front
+from ndob_fmu.fmu.compile_front import with_front
 from ndob_fmu.fmu.manual import Part
-from ndob_fmu.model import Model
-from ndob_fmu.progress import begin
-from ndob_fmu.results import atomic_path
-from ndob_fmu.runtime.interface import Variable, observer_variables, plant_variables
-from ndob_fmu.temporary import temporary_folder
+from ndob_fmu.fmu.model_description import complete
+from ndob_fmu.interface.model_variables import Variable, observer_variables, plant_variables
+from ndob_fmu.model.model import Model
+from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.progress import begin
+from ndob_fmu.support.temporary import temporary_folder
 
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 

@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ndob_fmu import runtime
-from ndob_fmu.shipped import shipped_folder
+from ndob_fmu import interface, runtime
+from ndob_fmu.support.shipped import shipped_folder
 
 _RUNTIME = Path(runtime.__file__).parent
+_INTERFACE = Path(interface.__file__).parent
 START_VALUES = "start_values.json"  # fmus/slave_start_values.py reads it
 
 
@@ -35,31 +36,36 @@ def bundle(
 
     `data_text` is a module that defines the `arguments` that the slave is made with, like EQUATIONS.
     """
-    core = {path.name: path.read_text("utf-8") for path in sorted(_RUNTIME.glob("*.py"))}
-    slaves = {path.name: path.read_text("utf-8") for path in sorted(shipped_folder("fmus").glob("*slave*.py"))}
-    package = f"ndob_runtime_{_digest(core | slaves)}"
+    carried = {
+        **_texts(_RUNTIME, "**/*.py"),
+        **{f"interface/{name}": text for name, text in _texts(_INTERFACE, "*.py").items()},
+        **_texts(shipped_folder("fmus"), "*slave*.py"),
+    }
+    package = f"ndob_runtime_{_digest(carried)}"
     data = f"ndob_equations_{_digest({'': data_text, 'package': package})}"
 
     def renamed(text: str) -> str:
-        return re.sub(r"(?m)^( *from )(?:ndob_fmu\.runtime|fmus)\b", rf"\1{package}", text)
+        text = re.sub(r"(?m)^( *from )(?:ndob_fmu\.runtime|fmus)\b", rf"\1{package}", text)
+        return re.sub(r"(?m)^( *from )ndob_fmu\.interface\b", rf"\1{package}.interface", text)
 
-    files = {f"{package}/{name}": renamed(text) for name, text in (core | slaves).items()}
+    files = {f"{package}/{name}": renamed(text) for name, text in carried.items()}
     files[START_VALUES] = "{}\n"
     if arguments:
         files[f"{data}.py"] = renamed(data_text)
-    modules = ", ".join(sorted(Path(name).stem for name in core | slaves if name != "__init__.py"))
+    modules = sorted(name.removesuffix(".py").replace("/", ".") for name in carried if "__init__" not in name)
+    imports = "".join(f"        import {package}.{module}\n" for module in modules)
     entry_text = (
         f'"""Entry of {class_name}.fmu, which pythonfmu loads."""\n\n'
         # pythonfmu's binary runs this once more for every instance.
         f'if "{class_name}" in globals():\n'
         f'    {class_name} = globals()["{class_name}"]\n'
-        f"    slave_entry.add_reference(globals())\n"
+        f"    {package}.slave_entry.add_reference(globals())\n"
         f"else:\n"
         f"    import sys\n\n"
         # All of the package at once: it is found in the folder of the FMU that was loaded first, and that may be gone
         # by the time another FMU of the process asks for the rest. And if that folder is damaged none may go there.
         f"    try:\n"
-        f"        from {package} import {modules}\n"
+        f"{imports}"
         + (f"        from {data} import {', '.join(arguments)}\n" if arguments else "")
         + f"        from {package}.{slave_module} import {slave_class}\n"
         f"    except BaseException:\n"
@@ -74,6 +80,11 @@ def bundle(
     digest = _digest(files | {"": entry_text})
     entry = f"{class_name}_{digest}.py"
     return Bundle(files={**files, entry: entry_text}, entry=entry, digest=digest)
+
+
+def _texts(folder: Path, pattern: str) -> dict[str, str]:
+    """Return the texts of the files that match, by their path below the folder."""
+    return {path.relative_to(folder).as_posix(): path.read_text("utf-8") for path in sorted(folder.glob(pattern))}
 
 
 def _digest(texts: Mapping[str, str]) -> str:

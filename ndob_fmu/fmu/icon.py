@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 from ndob_fmu.fmu.manual import Part
-from ndob_fmu.model import Model
+from ndob_fmu.model.model import Model
 
 _SIZE, _DPI = 200, 100  # pixels; FMI recommends at least 100
 _COLOURS = {"Plant": ("#1f4e79", "#eaf2fa"), "Observer": ("#7a3e00", "#fdf1e3")}

@@ -11,8 +11,8 @@ from typing import Any, Literal
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from ndob_fmu.model import Model
-from ndob_fmu.runtime.interface import Variable
+from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.model.model import Model
 
 Part = Literal["Plant", "Observer"]
 

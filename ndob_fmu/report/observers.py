@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ndob_fmu.report.lines import ERROR, ESTIMATE, MEASURED, TRUTH, Panels, magnitude
 from ndob_fmu.report.record import Record
 from ndob_fmu.report.signals import usual_range
+from ndob_fmu.runtime.arrays import Array
 
-Array = NDArray[np.float64]
 Figure = tuple[str, go.Figure]
 _RESIDUAL = "_residual"
 _CUT = "The axis shows the usual range; double-click on the plot shows all."

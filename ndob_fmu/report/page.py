@@ -11,10 +11,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.extras import extra
 from ndob_fmu.report.content import Content
 from ndob_fmu.report.run import run_content
-from ndob_fmu.results import SYSTEM_PICTURE, atomic_path
+from ndob_fmu.results.recordings import SYSTEM_PICTURE, atomic_path
+from ndob_fmu.support.extras import extra
 
 _CONFIGURATION = {
     "displaylogo": False,

@@ -7,15 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ndob_fmu.report.content import pretty
 from ndob_fmu.report.signals import estimates
-from ndob_fmu.results import Recording
-from ndob_fmu.run_files import read_run
-
-Array = NDArray[np.float64]
+from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.run_files import read_run
+from ndob_fmu.runtime.arrays import Array
 
 
 @dataclass(frozen=True)

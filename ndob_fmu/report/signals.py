@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ndob_fmu.runtime.arrays import Array
+
 _MOST_POINTS = 2000
 _MOST_SPANS = 200
 _ESTIMATE = "_hat"

@@ -1,6 +1,6 @@
 """The form in which a plant's equations reach the runtime: plain functions on tuples of floats, and their names.
 
-A module of this form is written from the symbolic model by `ndob_fmu.emit`; it is all that an FMU knows of its plant.
+A module of this form is written from the symbolic model by `codegen.emit`; it is all that an FMU knows of its plant.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ndob_fmu.runtime.gains import LinearPart
+from ndob_fmu.runtime.design.gains import LinearPart
 
 Vector = Sequence[float]
 
@@ -40,7 +40,7 @@ class ObserverDefaults:
 
 @dataclass(frozen=True)
 class SignalDefaults:
-    """Start values of the plant FMU's built-in disturbance generator; `ndob_fmu.runtime.disturbance` has the kinds."""
+    """Start values of the plant FMU's built-in disturbance generator; `runtime.blocks.disturbance` has the kinds."""
 
     kind: str = "none"
     amplitude: float = 0.0

@@ -16,11 +16,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from numpy.typing import NDArray
 
-from ndob_fmu import plots
+from ndob_fmu.results import plots
+from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.study.plan import read_plan
 from ndob_fmu.study.store import column, read_runs
 
-Array = NDArray[np.float64]
 _MOST_CELLS = 12  # along an axis of the heat map
 _MOST_LINES = 2000
 _FEW = 6  # ticks

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ndob_fmu.results import Recording
-
-Array = NDArray[np.float64]
+from ndob_fmu.results.recordings import Recording
+from ndob_fmu.runtime.arrays import Array
 
 _TAKE: dict[str, Callable[[Array], float]] = {
     "final": lambda x: float(x[-1]),

@@ -11,11 +11,11 @@ from ndob_fmu.cosim import System, Value
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import recordable
 from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.inputs import NO_INPUTS, read_inputs
 from ndob_fmu.cosim.run import warn
-from ndob_fmu.cosim.system import Port
+from ndob_fmu.cosim.system.inputs import NO_INPUTS, read_inputs
+from ndob_fmu.cosim.system.system import Port
+from ndob_fmu.cosim.system.wiring import wire
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.cosim.wiring import wire
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
 from ndob_fmu.study.description import STEP_SIZE, Simulation
 from ndob_fmu.study.points import Points

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ndob_fmu.cosim import System, Value, open_system
-from ndob_fmu.cosim.schemes import SCHEMES
+from ndob_fmu.cosim.master.schemes import SCHEMES
 from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.study.columns import RESERVED, over_time
 from ndob_fmu.study.description import STEP_SIZE, Simulation, Study

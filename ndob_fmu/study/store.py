@@ -18,9 +18,9 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from ndob_fmu.cosim import open_system
-from ndob_fmu.cosim.picture import write_picture
+from ndob_fmu.cosim.system.picture import write_picture
 from ndob_fmu.errors import NdobError, UsageError, some_of
-from ndob_fmu.results import SYSTEM_PICTURE, plain, write_sealed_json
+from ndob_fmu.results.recordings import SYSTEM_PICTURE, plain, write_sealed_json
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
 from ndob_fmu.study.plan import PLAN, read_plan

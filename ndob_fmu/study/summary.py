@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from ndob_fmu.results import atomic_path, software_versions, write_sealed_json
+from ndob_fmu.results.recordings import atomic_path, software_versions, write_sealed_json
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, WALL_TIME
 from ndob_fmu.study.plan import read_plan
 from ndob_fmu.study.store import column, read_runs

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from distributed import Client, Future, TimeoutError, wait  # noqa: A004 # Python 3.10's own is another one
 
-from ndob_fmu.cosim.progress_bar import tqdm
+from ndob_fmu.cosim.master.progress_bar import tqdm
 from ndob_fmu.errors import NdobError, SimulationError
-from ndob_fmu.interrupts import check_interrupt
 from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
 from ndob_fmu.study.description import Study
 from ndob_fmu.study.lock import locked
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.store import Store
 from ndob_fmu.study.workers import StudyPlugin, connected, run_batch
+from ndob_fmu.support.interrupts import check_interrupt
 
 _BATCH_SECONDS = 0.5  # as much is lost when a worker dies, and a batch costs some milliseconds
 _MOST_IN_A_BATCH = 500

@@ -18,10 +18,10 @@ import dask
 from distributed import Client, LocalCluster, Security, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
 
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
-from ndob_fmu.interrupts import held
 from ndob_fmu.study.description import Study
 from ndob_fmu.study.session import Session
-from ndob_fmu.temporary import make_folder, remove_folder, temporary_folder
+from ndob_fmu.support.interrupts import held
+from ndob_fmu.support.temporary import make_folder, remove_folder, temporary_folder
 
 _PATIENCE = 10.0  # seconds for a scheduler to answer, and for its first worker
 _CONFIGURATION = {

@@ -27,7 +27,7 @@ from ndob_fmu.errors import NdobError
 
 from .options import closing_line, read_options
 
-_SLAVE = Path(__file__).parents[1] / "coupling_slaves" / "gain.py"
+_SLAVE = Path(__file__).parents[1] / "helpers" / "coupling_slaves" / "gain.py"
 _MOST_MEMORY = 3 * 2**30  # bytes of address space beyond what the process has at the start
 _MOST_SECONDS = 10.0  # of the processors for one archive
 _LONGEST_MESSAGE = 300

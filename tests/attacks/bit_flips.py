@@ -20,8 +20,8 @@ from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu.errors import NdobError
 from ndob_fmu.report import write_report
-from ndob_fmu.results import Recording
-from ndob_fmu.run_files import read_run, write_run
+from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.run_files import read_run, write_run
 from ndob_fmu.study import Study, read_study
 from ndob_fmu.study.plan import read_plan
 from ndob_fmu.study.shards import shard_paths
@@ -31,7 +31,7 @@ from ndob_fmu.study.sweep import Tally
 
 from .options import closing_line, read_options
 
-_SLAVE = Path(__file__).parents[1] / "coupling_slaves" / "integrator.py"
+_SLAVE = Path(__file__).parents[1] / "helpers" / "coupling_slaves" / "integrator.py"
 _STUDY = """
 system = "{system}"
 [simulation]

@@ -20,12 +20,12 @@ import psutil
 from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu.errors import NdobError
-from ndob_fmu.run_files import read_run
+from ndob_fmu.results.run_files import read_run
 from ndob_fmu.study.store import read_runs
 
 from .options import closing_line, read_options
 
-_SLAVE = Path(__file__).parents[1] / "coupling_slaves" / "fragile.py"
+_SLAVE = Path(__file__).parents[1] / "helpers" / "coupling_slaves" / "fragile.py"
 _STUDY = """
 system = "Fragile.fmu"
 [simulation]

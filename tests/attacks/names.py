@@ -1,6 +1,6 @@
 """Models in which a name of Python or of SymPy stands in every role, through check, design, the written code and steps.
 
-`python -m tests.attacks.names --trials N --seed S`; tests/test_names.py does a few of them.
+`python -m tests.attacks.names --trials N --seed S`; tests/model/test_names.py does a few of them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 
 from ndob_fmu import Model, NdobError, check, design
-from ndob_fmu.runtime.sampled_observer import sampled_observer
+from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 
 ROLES = ("states", "inputs", "outputs", "disturbances", "parameters")
 FMU_NAMES = {"time", "valid", "method", "alpha", "disturbance"}

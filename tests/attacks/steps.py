@@ -16,9 +16,7 @@ from math import isfinite
 from pathlib import Path
 from random import Random
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from fmi_instance import OK, opened
+from tests.helpers.fmi_instance import OK, opened
 
 NOISE = 1e-5
 SETTLED = 40

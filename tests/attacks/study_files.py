@@ -28,7 +28,7 @@ from ndob_fmu.study.store import Store, read_runs
 
 from .options import closing_line, read_options
 
-_SLAVE = Path(__file__).parents[1] / "coupling_slaves" / "integrator.py"
+_SLAVE = Path(__file__).parents[1] / "helpers" / "coupling_slaves" / "integrator.py"
 _MOST_MEMORY = 3 * 2**30  # bytes of address space beyond what the process has at the start
 _MOST_SECONDS = 30.0  # of the processors, for a million runs
 _LONGEST_MESSAGE = 300

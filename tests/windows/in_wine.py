@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from windows.machine import HOST, PYTHON, ROOT, run, what_is_missing, windows_path
+from tests.windows.machine import HOST, PYTHON, ROOT, run, what_is_missing, windows_path
 
 FMUS = sorted((ROOT / "build" / "fmus").glob("*.fmu"))
 NAMES = [path.stem for path in FMUS]

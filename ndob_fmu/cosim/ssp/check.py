@@ -8,16 +8,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ndob_fmu.cosim.archive import Archive, open_archive
-from ndob_fmu.cosim.loops import algebraic_loops
-from ndob_fmu.cosim.picture import write_picture
-from ndob_fmu.cosim.ssp.experiment import read_experiment
+from ndob_fmu.cosim.fmi.archive import Archive, open_archive
+from ndob_fmu.cosim.ssp.default_experiment import read_experiment
 from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
-from ndob_fmu.cosim.system import System
-from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs, without_driver
+from ndob_fmu.cosim.system.loops import algebraic_loops
+from ndob_fmu.cosim.system.picture import write_picture
+from ndob_fmu.cosim.system.system import System
+from ndob_fmu.cosim.system.wiring import keep_start_values, undriven_inputs, without_driver
 from ndob_fmu.errors import CouplingError, NdobError, UsageError, shortened, some_of
-from ndob_fmu.temporary import temporary_folder
+from ndob_fmu.support.temporary import temporary_folder
 
 _Found = TypeVar("_Found")
 _MARKS = {True: "ok  ", False: "FAIL", None: "    "}

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from lxml import etree
 
 from ndob_fmu.cosim.ssp.schema import NAMESPACES, Element
-from ndob_fmu.units import BaseUnit
+from ndob_fmu.support.units import BaseUnit
 
 TOOLS = {
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import unquote
 
-from ndob_fmu.cosim.archive import open_archive
 from ndob_fmu.cosim.component import Value
-from ndob_fmu.cosim.ssp.experiment import read_experiment
-from ndob_fmu.cosim.ssp.names import plain
+from ndob_fmu.cosim.fmi.archive import open_archive
+from ndob_fmu.cosim.fmi.start_values import with_start_values
+from ndob_fmu.cosim.ssp.default_experiment import read_experiment
+from ndob_fmu.cosim.ssp.identifiers import plain
 from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX, SSD_NAME, Element, child, parse
 from ndob_fmu.cosim.ssp.structure import components
-from ndob_fmu.cosim.start_values import with_start_values
 from ndob_fmu.errors import CouplingError, UsageError, one_of
-from ndob_fmu.results import atomic_path
-from ndob_fmu.temporary import temporary_folder
+from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.temporary import temporary_folder
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
 

@@ -9,11 +9,11 @@ from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.ssp.schema import Element, child, children, local_name
 from ndob_fmu.cosim.ssp.structure import End, Node, Structure, join
 from ndob_fmu.cosim.ssp.support import TYPES
-from ndob_fmu.cosim.ssp.units import Units, linear, read_units, suppressed, unit_of
-from ndob_fmu.cosim.system import Link, Port, System
+from ndob_fmu.cosim.ssp.unit_elements import Units, linear, read_units, suppressed, unit_of
+from ndob_fmu.cosim.system.system import Link, Port, System
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, UsageError, one_of
-from ndob_fmu.units import Unit
+from ndob_fmu.support.units import Unit
 
 # A ParameterBinding or ParameterMapping → the root of what it binds, inside it or in a file of its own.
 Source = Callable[[Element], Element]

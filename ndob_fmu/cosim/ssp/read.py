@@ -12,18 +12,18 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from ndob_fmu.cosim.archive import Archive, open_archive
 from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.fmu import FmuComponent
-from ndob_fmu.cosim.ssp.experiment import read_experiment, read_step_ratios
+from ndob_fmu.cosim.fmi.archive import Archive, open_archive
+from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
+from ndob_fmu.cosim.ssp.default_experiment import read_experiment, read_step_ratios
 from ndob_fmu.cosim.ssp.parameters import start_values
 from ndob_fmu.cosim.ssp.schema import NAMESPACES, ROOTS_BY_SUFFIX, SSD_NAME, Element, child, local_name, parse
 from ndob_fmu.cosim.ssp.structure import Structure, components, read_structure
 from ndob_fmu.cosim.ssp.support import check_supported
-from ndob_fmu.cosim.ssp.units import Units, read_units
-from ndob_fmu.cosim.system import Port, System
+from ndob_fmu.cosim.ssp.unit_elements import Units, read_units
+from ndob_fmu.cosim.system.system import Port, System
 from ndob_fmu.errors import CouplingError, NdobError, some_of
-from ndob_fmu.temporary import temporary_folder
+from ndob_fmu.support.temporary import temporary_folder
 
 
 @contextmanager

@@ -13,18 +13,18 @@ from pathlib import Path
 
 from ndob_fmu.cosim.component import Value, Variable
 from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.fmu import FmuComponent
+from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.ssp import markup
+from ndob_fmu.cosim.ssp.identifiers import FileNames, plain
 from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
-from ndob_fmu.cosim.ssp.names import FileNames, plain
 from ndob_fmu.cosim.ssp.pack import write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.ssp.support import FMU_TYPE
-from ndob_fmu.cosim.system import Link, Port, System
+from ndob_fmu.cosim.system.system import Link, Port, System
+from ndob_fmu.cosim.system.wiring import keep_start_values, undriven_inputs
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.cosim.wiring import keep_start_values, undriven_inputs
 from ndob_fmu.errors import CouplingError, ModelError, UsageError
-from ndob_fmu.units import BaseUnit, base_unit
+from ndob_fmu.support.units import BaseUnit, base_unit
 
 _log = logging.getLogger(__name__)
 _ASIS = (1.0, 0.0)

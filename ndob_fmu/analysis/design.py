@@ -1,0 +1,109 @@
+"""Design the observer of a model: assumptions first, then the gain, then what the gain means for its user."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ndob_fmu.analysis.assumptions import check
+from ndob_fmu.analysis.paper_design import Design, sorted_poles
+from ndob_fmu.analysis.sampled_data_design import sampled_data_design
+from ndob_fmu.errors import UsageError
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.design.gains import paper_gains
+from ndob_fmu.runtime.design.tuning import sine_rate
+from ndob_fmu.runtime.step.channel import lumped_bound, lumped_rate
+from ndob_fmu.support.progress import begin
+
+
+def design(
+    model: Model,
+    *,
+    pi: float | None = None,
+    alpha: float | None = None,
+    step_size: float | None = None,
+    disturbance_order: int | None = None,
+    noise_std: float | None = None,
+    disturbance_bound: float | Sequence[float] | None = None,
+    disturbance_rate: float | Sequence[float] | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> Design:
+    """Design the paper's observer; with a `step_size`, the sampled-data observer for that step as well.
+
+    π > 0 and α > 0 (1/s) are the paper's. The sampled-data observer is tuned from what users know: noise_std σ of a
+    sample, disturbance_bound D₀ and disturbance_rate, the bound of |d^{(r)}| (of |ḋ| for r = 0), each one number or one
+    per disturbance, and the disturbance_order r = 0 … 3; a π that is given sets its pace in their place. What is not
+    given is the model's. For a disturbance with a channel the design is that of the lumped inputs n_j d.
+
+    Raises UsageError for a π that is none, AssumptionError where an assumption of the paper fails, and DesignError for
+    other values outside their range or where a gain cannot be trusted.
+    """
+    expert = pi
+    pi = model.observer.pi_end if pi is None else pi
+    alpha = model.observer.alpha if alpha is None else alpha
+    if not (np.isfinite(pi) and pi > 0):
+        raise UsageError.report("pi", expected="a finite number > 0", received=repr(pi))
+    check(model, alpha=alpha, parameters=parameters).require()
+    begin(f"designing the observer of {model.name} for pi = {pi:g}")
+    continuous = _continuous(model, pi, alpha, parameters)
+    if step_size is None:
+        return continuous
+    if not (np.isfinite(step_size) and step_size > 0):
+        raise UsageError.report("step size", expected="a finite time > 0 s", received=repr(step_size))
+    begin(f"designing the observer of {model.name} for steps of {step_size:g} s")
+    order = model.observer.disturbance_order if disturbance_order is None else disturbance_order
+    equations, q = model.equations, len(model.disturbances)
+    bound = _for_each("disturbance bound", disturbance_bound, q, equations.disturbance_bound)
+    if order == model.observer.disturbance_order and disturbance_bound is None:
+        usual = equations.disturbance_rate
+    else:
+        usual = tuple(sine_rate(value, order) for value in bound)
+    rate = _for_each("disturbance rate", disturbance_rate, q, usual)
+    return sampled_data_design(
+        continuous,
+        model,
+        step_size=step_size,
+        order=order,
+        noise_std=model.observer.noise_std if noise_std is None else noise_std,
+        disturbance_bound=tuple(lumped_bound(equations, bound)),
+        disturbance_rate=tuple(lumped_rate(equations, bound, rate, order=order)),
+        by_pi=expert is not None,
+        parameters=parameters,
+    )
+
+
+def _for_each(
+    name: str, value: float | Sequence[float] | None, q: int, default: tuple[float, ...]
+) -> tuple[float, ...]:
+    if value is None:
+        return default
+    numbers = tuple(value) if isinstance(value, Sequence) else (value,) * q
+    if len(numbers) == 1:  # the command line gives a list also where one number is meant for all
+        numbers = numbers * q
+    if len(numbers) != q:
+        raise UsageError.report(name, expected=f"one number, or {q}: one for each disturbance", received=repr(value))
+    return tuple(float(number) for number in numbers)
+
+
+def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> Design:
+    linear = model.linear_part(parameters)
+    gains = paper_gains(linear, pi=pi, alpha=alpha)
+    poles = np.linalg.eigvals(linear.A - gains.L @ linear.C)
+    estimate = np.sqrt(pi) * linear.selector @ gains.W
+    constant = estimate @ linear.C @ np.linalg.solve(gains.L @ linear.C - linear.A, linear.G_d)
+    return Design(
+        model=model.name,
+        disturbances=tuple(model.unknown_inputs),
+        pi=float(pi),
+        alpha=float(alpha),
+        L=gains.L,
+        W=gains.W,
+        M=gains.M,
+        Q=gains.riccati.Q,
+        poles=sorted_poles(poles),
+        riccati_residual=gains.riccati.residual,
+        bandwidth=float(np.max(np.abs(poles))),
+        dc_gain=np.diag(constant),
+        noise_gain=np.linalg.norm(estimate, axis=1),
+    )

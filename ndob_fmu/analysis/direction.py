@@ -1,0 +1,72 @@
+"""The direction n(x, u) of a state-dependent disturbance channel, searched for where it vanishes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+import sympy
+
+from ndob_fmu.analysis.lipschitz import box, samples
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.support.progress import begin
+
+_CLIMBS = 8
+
+
+@dataclass(frozen=True)
+class Shortest:
+    """The least ‖[n₁/n̄₁ … n_k/n̄_k]‖ found, and the states and inputs it was found at.
+
+    `length` is 0 where n cannot be evaluated. `largest_entry`: the largest |n_j|/n̄_j found; above 1 a bound is wrong,
+    or the search went beyond where the plant goes.
+    """
+
+    length: float
+    at: Mapping[str, float]
+    largest_entry: float
+
+
+def shortest_direction(model: Model, parameters: Mapping[str, float] | None = None) -> Shortest:
+    """Search the box of `analysis.lipschitz` for the shortest n: samples with a fixed seed, then climbs from the best.
+
+    The result is an upper bound of the least length. Raises ModelError for an unknown parameter.
+    """
+    begin(f"searching for the shortest direction n of {model.name}")
+    expressions = sympy.Matrix(model.channel_expressions)
+    names = [name for name in (*model.states, *model.inputs) if model.symbols[name] in expressions.free_symbols]
+    values = dict(
+        zip((model.symbols[name] for name in model.parameters), model.parameter_values(parameters), strict=True)
+    )
+    entries = sympy.lambdify(
+        [[model.symbols[name] for name in names], list(values)], list(expressions), modules="numpy", dummify=True
+    )
+    bound = np.array(model.channel_bound, dtype=float)
+
+    def shares(points: Array) -> Array:
+        """Return |n_j|/n̄_j (N,k) at points (N, len(names)), 0 where one is not a real number."""
+        with np.errstate(all="ignore"):
+            columns = [np.asarray(entry) for entry in entries(list(points.T), list(values.values()))]
+        stacked = np.stack([np.broadcast_to(column, (len(points),)) for column in columns], axis=-1)
+        defined = np.isfinite(stacked).all(axis=-1) & (np.imag(stacked) == 0).all(axis=-1)
+        return np.asarray(np.where(defined[:, None], np.abs(stacked), 0.0) / bound)
+
+    half_widths = np.array([box(model)[name] for name in names])
+    points = samples(half_widths) if names else np.zeros((1, 0))
+    found = shares(points)
+    lengths = np.linalg.norm(found, axis=1)
+    best, length = points[int(np.argmin(lengths))], float(np.min(lengths))
+    for start in points[np.argsort(lengths, kind="stable")[: _CLIMBS if names and length else 0]]:
+        climb = scipy.optimize.minimize(
+            lambda z: float(np.linalg.norm(shares((z * half_widths)[None]))),
+            start / half_widths,
+            method="Nelder-Mead",
+            bounds=[(-1.0, 1.0)] * len(names),
+            options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 200 * len(names)},
+        )
+        if climb.fun < length:
+            best, length = climb.x * half_widths, float(climb.fun)
+    return Shortest(length, dict(zip(names, map(float, best), strict=True)), float(np.max(found)))

@@ -1,0 +1,185 @@
+"""The sampled-data observer at one step, as its user wants to know it: gains, predicted errors, bounds, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.analysis.certificate import Certificate, certify
+from ndob_fmu.analysis.paper_design import Design, sorted_poles, table
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error, steady_std
+from ndob_fmu.runtime.step.channel import lumped
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
+
+# Below this ratio of noise to bias in the predicted error it is the step that limits, not the noise.
+_STEP_LIMITS = 0.1
+
+
+@dataclass(frozen=True)
+class SampledDataDesign(Design):
+    """The paper's design and the sampled-data one at `step_size` H. N = n + r q2.
+
+    K (N,p): gain of the update; M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1; filter_poles (N,): of (I − K C) Φ.
+    equivalent_pi: π = s/(σ²H) of the intensity s on the first disturbance; error_bar (q2,): the steady `_std`.
+    predicted_bias and predicted_noise (q2,): error of d̂ at the sample for a constant r-th derivative at its bound, and
+    its standard deviation. certificate: bounds without noise; warnings: what to change, one sentence each.
+    """
+
+    step_size: float
+    disturbance_order: int
+    noise_std: float
+    disturbance_bound: tuple[float, ...]
+    disturbance_rate: tuple[float, ...]
+    K: Array
+    M_H: Array | None
+    filter_poles: NDArray[np.complex128]
+    equivalent_pi: float
+    sampled_bandwidth: float
+    predicted_bias: Array
+    predicted_noise: Array
+    error_bar: Array
+    certificate: Certificate
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it in JSON's types; a pole is a pair [real, imaginary]."""
+        return {
+            **super().to_dict(),
+            "step_size": self.step_size,
+            "disturbance_order": self.disturbance_order,
+            "noise_std": self.noise_std,
+            "disturbance_bound": list(self.disturbance_bound),
+            "disturbance_rate": list(self.disturbance_rate),
+            "K": self.K.tolist(),
+            "M_H": None if self.M_H is None else self.M_H.tolist(),
+            "filter_poles": [[pole.real, pole.imag] for pole in self.filter_poles.tolist()],
+            "equivalent_pi": self.equivalent_pi,
+            "sampled_bandwidth": self.sampled_bandwidth,
+            "predicted_bias": self.predicted_bias.tolist(),
+            "predicted_noise": self.predicted_noise.tolist(),
+            "error_bar": self.error_bar.tolist(),
+            "certificate": self.certificate.to_dict(),
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        lines = [
+            super().__str__(),
+            "",
+            f"Sampled-data observer at H = {self.step_size:g} s, disturbance order r = {self.disturbance_order}, "
+            f"noise {self.noise_std:g}",
+            "",
+            table("K", self.K),
+            *([table("M_H", self.M_H)] if self.M_H is not None else []),
+            "",
+            f"filter poles      {', '.join(f'{pole:.4g}' for pole in self.filter_poles)}",
+            f"bandwidth         {self.sampled_bandwidth:.4g} rad/s, as pi = {self.equivalent_pi:.3g}",
+        ]
+        for i, name in enumerate(self.disturbances):
+            lines.append(
+                f"{name}: predicted bias {self.predicted_bias[i]:.3g}, noise {self.predicted_noise[i]:.3g}, "
+                f"error bar {self.error_bar[i]:.3g} (one sigma)"
+            )
+        bounds = self.certificate
+        if bounds.exists:
+            of_d = ", ".join(
+                f"{name} {value:.3g}" for name, value in zip(self.disturbances, bounds.at_sample, strict=True)
+            )
+            of_x = ", ".join(f"{value:.2g}" for value in bounds.states)
+            lines.append(f"without noise, never more than: {of_d}; states {of_x} (loop gain {bounds.loop_gain:.2g})")
+        else:
+            lines.append(f"no bound: the loop gain through f is {bounds.loop_gain:.3g}, not below 1")
+        return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
+
+
+def sampled_data_design(
+    continuous: Design,
+    model: Model,
+    *,
+    step_size: float,
+    order: int,
+    noise_std: float,
+    disturbance_bound: tuple[float, ...],
+    disturbance_rate: tuple[float, ...],
+    by_pi: bool,
+    parameters: Mapping[str, float] | None,
+) -> SampledDataDesign:
+    """Design the sampled-data observer of the model for a step H > 0 s; `by_pi` leaves the pace to π, not the rate.
+
+    Raises DesignError for values outside their range or where no stationary gain can be found.
+    """
+    equations = lumped(model.equations)
+
+    def observer_for(rate: tuple[float, ...]) -> SampledObserver:
+        return sampled_observer(
+            equations,
+            model.parameter_values(parameters),
+            order=order,
+            noise_std=noise_std,
+            disturbance_bound=disturbance_bound,
+            disturbance_rate=rate,
+            x_hat=equations.xhat0,
+            x_std=equations.xhat0_std,
+            alpha=continuous.alpha,
+            pi=continuous.pi,
+        )
+
+    observer = observer_for(disturbance_rate)
+    known = observer.known
+    if by_pi:
+        observer = observer_for((0.0,) * len(disturbance_rate))
+    found = observer.design(step_size)
+    intensity = float(found.intensities.disturbance[-len(known.disturbance_bound)])
+    bias, noise = predicted_error(found, known.disturbance_rate)
+    bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
+    return SampledDataDesign(
+        **{field.name: getattr(continuous, field.name) for field in fields(Design)},
+        step_size=step_size,
+        disturbance_order=order,
+        noise_std=noise_std,
+        disturbance_bound=disturbance_bound,
+        disturbance_rate=disturbance_rate,
+        K=found.K,
+        M_H=found.M_H,
+        filter_poles=sorted_poles(found.poles),
+        equivalent_pi=intensity / (float(np.min(np.diag(known.R_factor))) ** 2 * step_size),
+        sampled_bandwidth=min(bandwidth, 1.0 / step_size),
+        predicted_bias=bias,
+        predicted_noise=noise,
+        error_bar=steady_std(found, known.disturbance_rate),
+        certificate=certify(
+            found,
+            disturbance_rate=known.disturbance_rate,
+            disturbance_bound=known.disturbance_bound,
+            lipschitz=equations.lipschitz,
+            f_states=equations.f_states,
+        ),
+        warnings=tuple(_warnings(known.disturbance_bound, step_size, bandwidth, bias, noise, by_pi=by_pi)),
+    )
+
+
+def _warnings(bound: Array, H: float, bandwidth: float, bias: Array, noise: Array, *, by_pi: bool) -> list[str]:
+    found = []
+    if by_pi:
+        if bandwidth * H > 1.0:
+            found.append(
+                f"pi asks for a bandwidth of {bandwidth:.3g} rad/s, H ω₀ = {bandwidth * H:.2g}: "
+                f"the step is too coarse, the samples carry nothing beyond {1.0 / H:.3g} rad/s"
+            )
+    elif np.all(noise < _STEP_LIMITS * bias):
+        found.append(
+            f"the step of {H:g} s limits the accuracy, not the noise: the observer is as fast as the samples allow"
+        )
+    for i, total in enumerate(bias + noise):
+        if total > bound[i]:
+            found.append(
+                f"the predicted error {total:.3g} of disturbance {i + 1} exceeds its bound {bound[i]:g}: the estimate "
+                "tells little; a lower noise, a slower disturbance or another order r is needed"
+            )
+    return found

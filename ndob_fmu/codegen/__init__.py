@@ -1,0 +1,1 @@
+"""From a model to the source code of its equations and steps."""

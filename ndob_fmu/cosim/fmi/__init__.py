@@ -1,0 +1,1 @@
+"""One FMU as a component: archive, description, values, log."""

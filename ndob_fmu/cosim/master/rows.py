@@ -1,0 +1,93 @@
+"""The rows of a run, also of one that ends before its stop time or fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from ndob_fmu.cosim.clock import Clock
+from ndob_fmu.cosim.master.schemes import Ending
+from ndob_fmu.errors import NdobError, SimulationError, UsageError
+from ndob_fmu.results.recordings import Recording
+from ndob_fmu.runtime.arrays import Array
+
+
+class Rows:
+    """The rows recorded so far, in memory for all of them."""
+
+    def __init__(self, names: Sequence[str], types: Sequence[str], clock: Clock) -> None:
+        """Make room for the whole run; raise UsageError if it does not fit in memory."""
+        self._names, self._types, self._clock = tuple(names), tuple(types), clock
+        self._time, self._columns = _allocate(clock, len(names))
+        self._count = 0
+        self._ended_early = ""
+
+    def take(self, values: Array) -> None:
+        """Record the next point; values: (width,)."""
+        self._columns[self._count] = values
+        self._count += 1
+
+    @property
+    def last(self) -> Array:
+        """The values recorded last, (width,)."""
+        values: Array = self._columns[self._count - 1]
+        return values
+
+    def end(self, ending: Ending, values: Array, done: int) -> None:
+        """Make the time of ``ending`` that of the last row; values: (width,), those after ``done`` steps.
+
+        Rows after that time are dropped: with gauss-seidel a component that makes longer steps may end the simulation
+        at a time that the others have passed.
+        """
+        part, ended = ending.part, ending.ended
+        self._count = min(self._count, ending.steps // self._clock.stride + 1)
+        last = self._count - 1
+        row = (values if done <= ending.steps else self._columns[last]).copy()
+        self._ended_early = f"component {part.name} ended the simulation at t = {ended.time:.12g} s"
+        self._ended_early += f": {ended.reason}" if ended.reason else ""
+        try:
+            part.send()
+        except SimulationError:  # an FMU need not give values then; the rows before stay
+            return
+        row[part.place] = part.outputs
+        if ending.steps > last * self._clock.stride or not self._clock.is_point(ended.time):
+            last += 1
+            self._time[last] = ended.time
+        self._columns[last] = row
+        self._count = last + 1
+
+    def recording(self) -> Recording:
+        """Return what has been recorded."""
+        time, columns = self._time[: self._count], self._columns[: self._count]
+        return Recording(time, self._names, columns, self._types, ended_early=self._ended_early)
+
+    @contextmanager
+    def kept_on_failure(self) -> Iterator[None]:
+        """Let a SimulationError carry what was recorded before it, if that is anything."""
+        try:
+            yield
+        except SimulationError as error:
+            if self._count:
+                error.recording = self.recording()
+            raise
+
+
+def _allocate(clock: Clock, width: int) -> tuple[Array, Array]:
+    rows = clock.steps // clock.stride + 2  # one more than recorded, for the time at which a component ends the run
+    try:
+        # The same expression as Clock.time, so that the two agree to the last bit.
+        time = np.float64(clock.start_time) + np.arange(rows) * clock.stride * clock.step_size
+        return time, np.empty((rows, width))
+    except (MemoryError, ValueError, OverflowError) as error:
+        raise _too_long(rows, width) from error
+
+
+def _too_long(rows: int, width: int) -> NdobError:
+    return UsageError.report(
+        "recording",
+        expected="one that fits in memory",
+        received=f"{rows} rows of {width} signals",
+        likely="the step size is far too small; a larger output interval records less",
+    )

@@ -1,0 +1,186 @@
+"""The front of an FMU: a small C library between a host and pythonfmu's binary, for Linux and for Windows.
+
+It lies where the host looks for the FMU's binary, pythonfmu's own beside it, and its sources in `front/`. The build
+compiles it: for Linux with the system's compiler, for Windows with a MinGW cross compiler. Without the compiler of a
+platform the FMU keeps pythonfmu's binary there, and what the front does is lost.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmpy
+import numpy as np
+
+from ndob_fmu.support.temporary import temporary_folder
+
+_log = logging.getLogger(__name__)
+
+SOURCES = Path(__file__).parent / "front"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+DESCRIPTION = "resources/front.txt"
+# No path, no time and no name of this machine goes into a binary; -s drops the names of temporary files.
+_FLAGS = ("-std=gnu11", "-O2", "-shared", "-fvisibility=hidden", "-Wall", "-Wextra", "-s")
+
+
+@dataclass(frozen=True)
+class Platform:
+    """How the front is compiled for one of FMI's platforms, and what an FMU loses without it.
+
+    name: FMI's, of the folder in binaries/
+    suffix: of a library there
+    variable: the environment variable that names the compiler
+    compilers: the commands that are tried without it
+    other: the ending of the sources that are for another platform
+    """
+
+    name: str
+    suffix: str
+    variable: str
+    compilers: tuple[str, ...]
+    other: str
+    flags: tuple[str, ...]
+    libraries: tuple[str, ...]
+    lost: str
+
+    @property
+    def slave_binary(self) -> str:
+        """Where pythonfmu's own binary lies in an FMU that has a front."""
+        return f"binaries/{self.name}/pythonfmu-export{self.suffix}"
+
+
+LINUX = Platform(
+    name="linux64",
+    suffix=".so",
+    variable="CC",
+    compilers=("cc", "gcc", "clang"),
+    other="_windows.c",
+    flags=(
+        "-fPIC",
+        "-Wl,-z,nodelete",  # ecos closes the library while instances of it live on
+        "-Wl,--build-id=none",
+    ),
+    libraries=("-ldl", "-lpthread", "-lm"),
+    lost="the FMUs get no front for Linux: they load in Python processes only, guard no calls and must not lie in a "
+    "folder with ä # + [ ( , ' in its name; %s",
+)
+WINDOWS = Platform(
+    name="win64",
+    suffix=".dll",
+    variable="CC_WIN64",
+    compilers=("x86_64-w64-mingw32-gcc",),
+    other="_linux.c",
+    flags=(
+        "-static",
+        "-D__USE_MINGW_ANSI_STDIO=1",
+        "-D_WIN32_WINNT=0x0602",  # Windows 8
+        "-Wno-format",  # it takes %zu for unknown
+        "-Wl,--no-insert-timestamp",
+        "-Wl,--disable-auto-image-base",  # which depends on the path of the output
+    ),
+    libraries=(),
+    lost="the FMUs get no front for Windows: there they find only a Python on PATH, guard no calls and must not lie in "
+    "a folder with ä # ' in its name; %s",
+)
+_TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B", "String": "S"}
+
+
+def with_front(contents: Mapping[str, bytes], root: ET.Element) -> dict[str, bytes]:
+    """Return the FMU's files with fronts before pythonfmu's binaries; `root` is the finished model description.
+
+    The one for Linux is built on x86-64 Linux only. Where nothing compiles a front there is a warning.
+    """
+    simulation = root.find("CoSimulation")
+    if simulation is None:
+        raise LookupError("pythonfmu wrote a model description without <CoSimulation>")
+    here = (sys.platform, platform.machine()) == ("linux", "x86_64")
+    result = dict(contents)
+    for target in (LINUX, WINDOWS) if here else (WINDOWS,):
+        binary = f"binaries/{target.name}/{simulation.get('modelIdentifier')}{target.suffix}"
+        front = compiled(target) if binary in contents else None
+        if front is not None:
+            result |= {binary: front, target.slave_binary: contents[binary]}
+            result[DESCRIPTION] = description(root, contents).encode()
+    return result
+
+
+def description(root: ET.Element, contents: Mapping[str, bytes]) -> str:
+    """Return front.txt: what the front has to know of the FMU and its files, and the Python that it tries first."""
+    files = [name.removeprefix("resources/") for name in contents if name.startswith("resources/")]
+    lines = [
+        f"guid={root.get('guid')}",
+        *(f"{name}={path}" for name, path in building_python().items()),
+        f"entry={contents['resources/slavemodule.txt'].decode().strip()}",
+        f"files={'|'.join(sorted(files))}",
+    ]
+    by_reference = {int(element.get("valueReference", "")): element for element in root.iterfind("ModelVariables/*")}
+    if sorted(by_reference) != list(range(len(by_reference))):
+        raise LookupError("pythonfmu wrote value references that do not count from 0")
+    for _, element in sorted(by_reference.items()):
+        lines.append(f"variable={_TYPES[element[0].tag]}{_role(element)} {element.get('name')}")
+    lines.append(f"variables={len(by_reference)}")
+    return "\n".join(lines) + "\n"
+
+
+def _role(element: ET.Element) -> str:
+    causality = element.get("causality")
+    if causality == "parameter":
+        return "t" if element.get("variability") == "tunable" else "f"
+    return "i" if causality == "input" else "o"
+
+
+def building_python() -> dict[str, str]:
+    """Return executable, libpython and the folder that NumPy lies in; empty where there is none."""
+    value = sysconfig.get_config_var
+    folders = [value("LIBDIR"), str(Path(sys.base_prefix) / "lib")]
+    names = [name for name in (value("INSTSONAME"), value("LDLIBRARY")) if name and ".so" in name]
+    libraries = [Path(folder) / name for name in names for folder in folders if folder]
+    return {
+        "python": sys.executable,
+        "libpython": str(next((path for path in libraries if path.exists()), "")),
+        "packages": str(Path(np.__file__).parents[1]),
+    }
+
+
+def compiled(target: Platform = LINUX) -> bytes | None:
+    """Return the front's binary, compiled once per process; None, with a warning, if that cannot be done."""
+    return _compiled(target, os.environ.get(target.variable, ""))
+
+
+@functools.cache
+def _compiled(target: Platform, wish: str) -> bytes | None:
+    compiler = shlex.split(wish) or [name for name in target.compilers if shutil.which(name)][:1]
+    if not compiler or not shutil.which(compiler[0]):
+        tried = f"{target.variable}={wish}, which is not here" if wish else f"none of {', '.join(target.compilers)}"
+        _log.warning(target.lost, f"expected a C compiler, received {tried}")
+        return None
+    with temporary_folder() as work:
+        binary = Path(work, f"front{target.suffix}")
+        sources = sorted(path.name for path in SOURCES.glob("*.c") if not path.name.endswith(target.other))
+        command = [*compiler, *_FLAGS, *target.flags, f"-ffile-prefix-map={SOURCES}=.", "-I", str(HEADERS), *sources]
+        done = subprocess.run(
+            [*command, "-o", str(binary), *target.libraries],
+            cwd=SOURCES,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+        if done.returncode != 0 or not binary.exists():
+            said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
+            _log.warning(target.lost, f"expected {compiler[0]} to compile it, received {said}")
+            return None
+        return binary.read_bytes()

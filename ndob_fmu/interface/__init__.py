@@ -1,0 +1,1 @@
+"""The variables that the FMUs show; carried inside every FMU."""

@@ -1,0 +1,288 @@
+"""The variables of the two FMUs, declared once: the slaves register them, the model description completes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from ndob_fmu.runtime.blocks.disturbance import KINDS
+from ndob_fmu.runtime.equations import Equations
+
+METHODS = {"paper": 1, "sampled_data": 2}
+_TUNING = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time", "disturbance_order", "noise_std")
+_PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One FMI variable.
+
+    `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
+    those of the end of the last step, whatever the inputs become afterwards. `sampled`: a signal that is read as of the
+    start of a step, or made once for each; a value extrapolated into the step would be wrong. `positive`: the minimum,
+    which is 0, is itself not allowed.
+    """
+
+    name: str
+    causality: str
+    description: str
+    type: str = "Real"
+    start: float | int | bool | str | None = None
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    nominal: float | None = None
+    items: Mapping[str, int] | None = None
+    depends_on: tuple[str, ...] = ()
+    sampled: bool = False
+    positive: bool = False
+
+    @property
+    def variability(self) -> str:
+        """FMI variability: parameters are fixed, numbers that flow are continuous, samples and flags discrete."""
+        if self.causality == "parameter":
+            return "fixed"
+        return "continuous" if self.type == "Real" and not self.sampled else "discrete"
+
+
+def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
+    """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them."""
+    derived = {f"{s}{suffix}" for s in states for suffix in ("_hat", "_start", "_hat_start", "_hat_start_std")}
+    derived |= {f"{output}{suffix}" for output in outputs for suffix in ("_residual", "_residual_std")}
+    derived |= {f"{d}{suffix}" for d in disturbances for suffix in ("_hat", "_at_sample", "_std", "_total")}
+    return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "disturbance"}
+
+
+def for_each_disturbance(name: str, disturbances: tuple[str, ...]) -> dict[str, str]:
+    """Return each disturbance's own name for `name`: just that where there is one disturbance, else `name`.`d`."""
+    if len(disturbances) == 1:
+        return {disturbances[0]: name}
+    return {d: f"{name}.{d}" for d in disturbances}
+
+
+def plant_variables(eq: Equations) -> tuple[Variable, ...]:
+    """Return the variables of `<Name>Plant`."""
+    inputs = [_signal(eq, name, "input", 0.0, "Input") for name in eq.inputs]
+    inputs += [_signal(eq, name, "input", 0.0, "Disturbance, added to the generator's") for name in eq.disturbances]
+    outputs = [_signal(eq, name, "output", None, "Measured output") for name in eq.outputs]
+    outputs += [_signal(eq, name, "output", None, "State") for name in eq.states if name not in eq.outputs]
+    outputs += [
+        _output(eq, f"{name}_total", name, f"Generator plus input {name}, at the end of the step", (name,), bound)
+        for name, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
+    ]
+    starts = [
+        _parameter(f"{name}_start", value, f"Start value of {name}", unit=_unit(eq, name))
+        for name, value in zip(eq.states, eq.x0, strict=True)
+    ]
+    generators = [variable for name in eq.disturbances for variable in _generator(eq, name)]
+    return (*inputs, *outputs, *_model_parameters(eq), *starts, *generators)
+
+
+def observer_variables(eq: Equations) -> tuple[Variable, ...]:
+    """Return the variables of `<Name>Observer`, its outputs in the order of `Estimate`'s fields."""
+    inputs = [_signal(eq, name, "input", 0.0, "Input of the plant") for name in eq.inputs]
+    inputs += [_signal(eq, name, "input", 0.0, "Measured output of the plant", sampled=True) for name in eq.outputs]
+    outputs = [_output(eq, f"{s}_hat", s, f"Estimate of {s} for the end of the step") for s in eq.states]
+    for suffix, text, depends_on in (
+        ("hat", "Estimate of {} for the end of the step", eq.outputs),
+        ("at_sample", "Estimate of {} for the sample that the step began with", eq.outputs),
+        ("std", "One-sigma error bar of {}_hat", ()),
+    ):
+        outputs += [
+            _output(eq, f"{d}_{suffix}", d, text.format(d), depends_on, bound, 0.0 if suffix == "std" else None)
+            for d, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
+        ]
+    outputs += [
+        _output(eq, f"{y}_residual", y, f"Sample of {y} minus its estimate, when the step began", (y,))
+        for y in eq.outputs
+    ]
+    outputs += [
+        _output(
+            eq,
+            f"{y}_residual_std",
+            y,
+            f"Standard deviation that {y}_residual is expected to have; 0 with method 1, which does not say",
+            minimum=0.0,
+        )
+        for y in eq.outputs
+    ]
+    outputs.append(
+        Variable(
+            name="valid",
+            causality="output",
+            type="Boolean",
+            description="False while the estimate coasts because a sample could not be used"
+            + (f", or {eq.disturbances[0]} because its direction vanishes" if eq.channel else ""),
+            depends_on=eq.outputs,
+        )
+    )
+    starts = [
+        _parameter(f"{name}_hat_start", value, f"Start value of the estimate of {name}", unit=_unit(eq, name))
+        for name, value in zip(eq.states, eq.xhat0, strict=True)
+    ]
+    starts += [
+        _parameter(
+            f"{name}_hat_start_std",
+            value,
+            f"Standard deviation of {name}_hat_start",
+            unit=_unit(eq, name),
+            positive=True,
+        )
+        for name, value in zip(eq.states, eq.xhat0_std, strict=True)
+    ]
+    return (*inputs, *outputs, *_model_parameters(eq), *starts, *_tuning(eq))
+
+
+def _tuning(eq: Equations) -> list[Variable]:
+    o = eq.observer
+    bounds, rates = (for_each_disturbance(name, eq.disturbances) for name in _PER_DISTURBANCE)
+    return [
+        _parameter(
+            "method",
+            o.method,
+            "1: the paper's observer, eqs. 22-24, integrated inside the step; 2: sampled-data design",
+            type_="Enumeration",
+            items=METHODS,
+        ),
+        _parameter(
+            "disturbance_order",
+            o.disturbance_order,
+            "Method 2: r, the number of derivatives of the disturbance that the observer carries",
+            type_="Integer",
+            minimum=0,
+            maximum=3,
+        ),
+        _parameter(
+            "noise_std",
+            o.noise_std,
+            "Standard deviation of the noise in a sample of each output, in its unit; 0: as fast as rounding lets",
+            minimum=0.0,
+        ),
+        *(
+            _parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)
+            for d, value in zip(eq.disturbances, eq.disturbance_bound, strict=True)
+        ),
+        *(
+            _parameter(
+                rates[d],
+                value,
+                f"Bound of the r-th derivative of {d} (of the first, for r = 0), per s^r; 0: pi_end sets the pace",
+                minimum=0.0,
+            )
+            for d, value in zip(eq.disturbances, eq.disturbance_rate, strict=True)
+        ),
+        _parameter(
+            "alpha",
+            o.alpha,
+            "Prescribed stability; below the distance of the transmission zeros from the imaginary axis",
+            unit="1/s",
+            positive=True,
+        ),
+        _parameter("pi_start", o.pi_start, "Method 1: pi of the Riccati equation at the start", positive=True),
+        _parameter("pi_end", o.pi_end, "Design parameter pi; of method 1 after the ramp", positive=True),
+        _parameter(
+            "pi_ramp_time",
+            o.pi_ramp_time,
+            "Method 1: time in which pi rises geometrically to pi_end; 0 starts there and peaks",
+            unit="s",
+            minimum=0.0,
+        ),
+    ]
+
+
+def _generator(eq: Equations, name: str) -> list[Variable]:
+    prefix, signal = for_each_disturbance("disturbance", eq.disturbances)[name], eq.disturbance
+    return [
+        _parameter(
+            f"{prefix}.kind",
+            KINDS[signal.kind],
+            f"Signal that the built-in generator adds to {name}",
+            type_="Enumeration",
+            items=KINDS,
+        ),
+        _parameter(
+            f"{prefix}.amplitude", signal.amplitude, "Amplitude; of a ramp the rise per second", unit=_unit(eq, name)
+        ),
+        _parameter(
+            f"{prefix}.frequency",
+            signal.frequency,
+            "Frequency of the sine; end frequency of the chirp",
+            unit="Hz",
+            minimum=0.0,
+        ),
+        _parameter(
+            f"{prefix}.start_time", signal.start_time, "Time at which ramp, sine, step or chirp begins", unit="s"
+        ),
+    ]
+
+
+def _model_parameters(eq: Equations) -> list[Variable]:
+    return [
+        _parameter(name, value, eq.descriptions.get(name, name.replace("_", " ")), unit=_unit(eq, name))
+        for name, value in eq.parameters.items()
+    ]
+
+
+def _parameter(
+    name: str,
+    start: float,
+    description: str,
+    *,
+    type_: str = "Real",
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    positive: bool = False,
+    items: Mapping[str, int] | None = None,
+) -> Variable:
+    return Variable(
+        name=name,
+        causality="parameter",
+        description=description,
+        type=type_,
+        start=start,
+        unit=unit,
+        positive=positive,
+        minimum=0.0 if positive else minimum,
+        maximum=maximum,
+        nominal=abs(start) if type_ == "Real" and not 1e-3 < (abs(start) or 1.0) < 1e3 else None,
+        items=items,
+    )
+
+
+def _output(
+    eq: Equations,
+    name: str,
+    of: str,
+    description: str,
+    depends_on: tuple[str, ...] = (),
+    nominal: float | None = None,
+    minimum: float | None = None,
+) -> Variable:
+    return Variable(
+        name=name,
+        causality="output",
+        description=description,
+        unit=_unit(eq, of),
+        minimum=minimum,
+        depends_on=depends_on,
+        nominal=nominal,
+    )
+
+
+def _signal(
+    eq: Equations, name: str, causality: str, start: float | None, role: str, *, sampled: bool = False
+) -> Variable:
+    text = eq.descriptions.get(name, name.replace("_", " "))
+    return Variable(
+        name=name,
+        causality=causality,
+        description=f"{role}: {text}",
+        unit=_unit(eq, name),
+        start=start,
+        sampled=sampled,
+    )
+
+
+def _unit(eq: Equations, name: str) -> str:
+    return eq.units.get(name, "")

@@ -1,0 +1,1 @@
+"""What the user writes: the plant's equations, names, units and defaults."""

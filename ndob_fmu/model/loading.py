@@ -1,0 +1,52 @@
+"""Find the model that the user means: a built-in one by name, or a Python file."""
+
+from __future__ import annotations
+
+import importlib
+import runpy
+import traceback
+from pathlib import Path
+
+from ndob_fmu.errors import ModelError, some_of
+from ndob_fmu.model.model import Model
+from ndob_fmu.support.progress import begin
+
+BUILT_IN = ("flexible_joint",)
+
+
+def load_model(source: str | Path) -> Model:
+    """Return the built-in model of that name, or the `model` that a Python file defines.
+
+    Raises ModelError where there is no such name or file, or where the file does not define a Model.
+    """
+    if str(source) in BUILT_IN:
+        built_in: Model = importlib.import_module(f"ndob_fmu.model.built_in.{source}").model
+        return built_in
+    begin(f"running {source}")
+    path = Path(source)
+    if not path.is_file():
+        raise ModelError.report(
+            "MODEL",
+            expected=f"a built-in name ({some_of(BUILT_IN)}) or the path of a Python file that defines `model`",
+            received=repr(str(source)),
+            likely="a misspelt name, or another working directory",
+        )
+    try:
+        model = runpy.run_path(str(path)).get("model")
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever the user's file raises is a broken file
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else (lines or [None])[-1]
+        raise ModelError.report(
+            str(path),
+            expected="a Python file that runs",
+            received=" ".join(f"{type(error).__name__}: {error}".split()) + (f" (line {line})" if line else ""),
+        ) from error
+    if not isinstance(model, Model):
+        raise ModelError.report(
+            str(path),
+            expected="a file that defines `model = Model(...)`",
+            received="no `model`" if model is None else f"`model` of type {type(model).__name__}",
+        )
+    return model

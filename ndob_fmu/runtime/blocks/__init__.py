@@ -1,0 +1,1 @@
+"""The plant and the other components of a system."""

@@ -1,0 +1,144 @@
+"""The controller: state feedback to the rest position that holds the references against the estimated disturbance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
+from ndob_fmu.runtime.equations import Equations, Vector
+
+_DIFFERENCE = 1e-6
+_TOLERANCE = 1e-9
+_ITERATIONS = 30
+# From which Newton's method looks for the inputs that hold x0, whose size nobody knows.
+_FIRST_INPUTS = (0.0, *(sign * 10.0**k for k in (0, -1, 1, -2, 2, -3, 3, -4, 4, -5, 5, -6, 6) for sign in (1.0, -1.0)))
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What a controller is built with besides its plant.
+
+    regulated: the m states or outputs that follow references; gain: K (m,n) as nested tuples.
+    """
+
+    regulated: tuple[str, ...]
+    gain: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Target:
+    """x* (n,) and u* (m,): where the plant rests with the regulated outputs at their references."""
+
+    x: Array
+    u: Array
+
+
+@dataclass(frozen=True)
+class Controller:
+    """start() → target; step(target, reference, x̂, d̂) → (target, u). The target is kept as Newton's first guess only.
+
+        0 = A x* + B u* + G_f f(x*, u*) + G_d d̂,   S x* = r          rest position, solved by Newton's method
+        u = u* − K (x̂ − x*),   |u| ≤ limit
+
+    K (m,n) is `gain`; S (m,n) has a row for each of the `regulated` states or outputs; `limit` (m,), 0 for none; d̂ is
+    taken to be 0 without `compensation`. Where d acts through the inputs' channel (G_d = B Γ), x* does not depend on d̂
+    and u* contains −Γ d̂: the compensation is exact at any pace. Elsewhere it is exact for the regulated outputs once d̂
+    is constant.
+    """
+
+    equations: Equations
+    parameters: Vector
+    regulated: Sequence[str]
+    gain: Array
+    limit: Array
+    compensation: bool
+
+    @cached_property
+    def selection(self) -> Array:
+        """S (m,n)."""
+        eq = self.equations
+        n, C = len(eq.states), eq.linear_part(self.parameters).C
+        return np.array(
+            [
+                np.eye(n)[eq.states.index(name)] if name in eq.states else C[eq.outputs.index(name)]
+                for name in self.regulated
+            ]
+        )
+
+    def start(self) -> Target:
+        """Return the rest position with all references and disturbances at 0; without one, that near the plant's x0.
+
+        An empty tank or a valve that is shut is no position to linearise at: there an input that enters through f may
+        have no effect. Raises DesignError where there is no rest position, or none that the inputs can choose.
+        """
+        eq = self.equations
+        d, x0 = [0.0] * len(eq.disturbances), np.array(eq.x0)
+        guess = Target(x=np.zeros(len(eq.states)), u=np.zeros(len(eq.inputs)))
+        target = self._rest(guess, [0.0] * len(self.selection), d)
+        for u in _FIRST_INPUTS:
+            target = target or self._rest(Target(x=x0, u=np.full(len(eq.inputs), u)), self.selection @ x0, d)
+        if target is None:
+            raise DesignError.report(
+                f"the rest position of {eq.name}",
+                expected="one that the inputs can hold, for references of 0 or of x0",
+                received="none",
+                likely="the regulated outputs integrate, or the inputs have no lasting effect on them",
+            )
+        return target
+
+    def step(self, target: Target, reference: Vector, x_hat: Vector, d_hat: Vector) -> tuple[Target, Array]:
+        """Return the rest position for the references (m,) and d̂ (q2,), and u (m,).
+
+        Where Newton's method finds none, the one before is kept.
+        """
+        d = list(d_hat) if self.compensation else [0.0] * len(d_hat)
+        target = self._rest(target, reference, d) or target
+        u = target.u - self.gain @ (np.asarray(x_hat) - target.x)
+        return target, np.where(self.limit > 0.0, np.clip(u, -self.limit, self.limit), u)
+
+    def possible(self, target: Target) -> bool:
+        """Return whether numbers in the form of a target can be one."""
+        return bool(np.isfinite(target.x).all() and np.isfinite(target.u).all())
+
+    def saturates(self, u: Array) -> bool:
+        """Whether a command (m,) is at its limit."""
+        return bool(np.any((self.limit > 0.0) & (np.abs(u) >= self.limit)))
+
+    def jacobians(self, target: Target) -> tuple[Array, Array]:
+        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂u (n,m) at the target without disturbance, by central differences."""
+        n = len(target.x)
+        d = [0.0] * len(self.equations.disturbances)
+        J = self._jacobian(np.concatenate([target.x, target.u]), d)
+        return J[:, :n], J[:, n:]
+
+    def _rest(self, guess: Target, reference: Vector, d: Sequence[float]) -> Target | None:
+        n, m = len(guess.x), len(guess.u)
+        z = np.concatenate([guess.x, guess.u])
+        lower = np.hstack([self.selection, np.zeros((m, m))])
+        for _ in range(_ITERATIONS):
+            residual = np.concatenate([self._rates(z, d), self.selection @ z[:n] - reference])
+            J = np.vstack([self._jacobian(z, d), lower])
+            try:
+                change = np.linalg.solve(J, residual)
+            except np.linalg.LinAlgError:
+                return None
+            z = z - change
+            if not np.isfinite(z).all():
+                return None
+            if np.max(np.abs(change)) <= _TOLERANCE * (1.0 + np.max(np.abs(z))):
+                return Target(x=z[:n], u=z[n:])
+        return None
+
+    def _rates(self, z: Array, d: Sequence[float]) -> Array:
+        n, values = len(self.equations.states), z.tolist()
+        return np.array(self.equations.derivatives(values[:n], values[n:], d, self.parameters), dtype=float)
+
+    def _jacobian(self, z: Array, d: Sequence[float]) -> Array:
+        steps = _DIFFERENCE * np.diag(1.0 + np.abs(z))
+        columns = [(self._rates(z + h, d) - self._rates(z - h, d)) / (2.0 * np.max(h)) for h in steps]
+        return np.asarray(np.array(columns).T)

@@ -1,0 +1,112 @@
+"""The plant between communication points, integrated far more accurately than any observer could tell.
+
+The substeps are tried by generated scalar code (`Equations.steps`); `step_by_definition` is what that must equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import inf, isfinite, nextafter
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.blocks.disturbance import Generator
+from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.numerics.integrate import NODES, adapt, integrate
+
+
+@dataclass  # never changed once made; frozen=True would make that cost a tenth of a step
+class PlantState:
+    """x (n,) at the time t (s), and the integrator's next substep (s)."""
+
+    x: tuple[float, ...]
+    t: float
+    substep: float
+
+
+@dataclass(frozen=True)
+class Plant:
+    """init(x₀, t₀) → state; step(state, u, d, t_end) → state. One generator per disturbance, in order."""
+
+    equations: Equations
+    parameters: Vector
+    generators: Sequence[Generator]
+
+    def init(self, x: Vector, t: float) -> PlantState:
+        """Return the state that starts from x (n,) at time t."""
+        return PlantState(x=tuple(map(float, x)), t=t, substep=inf)
+
+    def possible(self, state: PlantState) -> bool:
+        """Return whether numbers in the form of a state can be one."""
+        return all(map(isfinite, state.x)) and isfinite(state.t) and state.substep > 0.0
+
+    def disturbance(self, t: float, d: Vector) -> list[float]:
+        """Return the whole disturbance (q2,) at t: the generators' plus the input d (q2,)."""
+        return [generator(t) + value for generator, value in zip(self.generators, d, strict=True)]
+
+    def step(self, state: PlantState, u: Vector, d: Vector, t_end: float, step_size: float | None = None) -> PlantState:
+        """Advance to t_end with the inputs u (m,) and d (q2,) held and the generators running on.
+
+        step_size (s) is what t_end − t would be without the rounding of times, which an observer of high gain shows.
+        Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
+        """
+        constants = self._constants
+        if constants is None:
+            return self.step_by_definition(state, u, d, t_end, step_size)
+        x, substep = state.x, state.substep
+        for begin, end, duration in self._stretches(state.t, t_end, step_size):
+            x, substep = adapt(self._trial(u, d, constants, begin, end, duration), x, 0.0, duration, substep)
+        return PlantState(x=x, t=t_end, substep=substep)
+
+    def step_by_definition(
+        self, state: PlantState, u: Vector, d: Vector, t_end: float, step_size: float | None = None
+    ) -> PlantState:
+        """Do what `step` does, for its tests and for parameters at which the generated code cannot be prepared."""
+        x, substep = np.array(state.x), state.substep
+        for begin, end, duration in self._stretches(state.t, t_end, step_size):
+            x, substep = integrate(self._derivatives(u, d, begin, end), x, 0.0, duration, substep)
+        return PlantState(x=tuple(x.tolist()), t=t_end, substep=substep)
+
+    def _stretches(self, t: float, t_end: float, step_size: float | None) -> list[tuple[float, float, float]]:
+        """Return begin, end and duration of the parts of a step in which the generators do not jump."""
+        breaks = sorted({b for g in self.generators for b in g.breaks if t < b < t_end})
+        if not breaks:
+            return [(t, t_end, t_end - t if step_size is None else step_size)]
+        return [(begin, end, end - begin) for begin, end in pairwise((t, *breaks, t_end))]
+
+    @cached_property
+    def _constants(self) -> tuple[float, ...] | None:
+        try:
+            return self.equations.steps.plant_constants(self.parameters)
+        except (ArithmeticError, ValueError):
+            return None
+
+    def _trial(
+        self, u: Vector, d: Vector, constants: Vector, begin: float, end: float, duration: float
+    ) -> Callable[[float, Vector, float], tuple[tuple[float, ...], float]]:
+        """Return the generated trial of a substep as `adapt` wants it, in the time since `begin`."""
+        # As in `_derivatives` and `integrate`.
+        last, last_since = nextafter(end, begin), nextafter(duration, 0.0)
+        plant_step = self.equations.steps.plant_step
+
+        def trial(since: float, x: Vector, h: float) -> tuple[tuple[float, ...], float]:
+            total: list[float] = []
+            for node in NODES:
+                total += self.disturbance(min(begin + min(since + node * h, last_since), last), d)
+            return plant_step(x, u, total, constants, h)
+
+        return trial
+
+    def _derivatives(self, u: Vector, d: Vector, begin: float, end: float) -> Callable[[float, Array], Array]:
+        """Return ẋ as a function of the time since `begin` and x (n,); jumps of d at `end` are not seen."""
+        last_inside = nextafter(end, begin)
+
+        def derivatives(since: float, x: Array) -> Array:
+            total = self.disturbance(min(begin + since, last_inside), d)
+            return np.array(self.equations.derivatives(x.tolist(), u, total, self.parameters), dtype=float)
+
+        return derivatives

@@ -1,0 +1,1 @@
+"""What is computed once, at initialization: gains and covariances."""

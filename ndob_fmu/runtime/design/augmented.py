@@ -1,0 +1,115 @@
+"""The plant with its disturbance's derivatives as states, sampled at a step H: the model of the everyday observer.
+
+    ξ = [x; δ₁ … δ_r],   δ₁ = d,  δ_i' = δ_{i+1},  δ_r' = w_d      disturbance order r = 1, 2, 3
+    ξ = x                                                          r = 0: white noise on all of G, the paper's design
+
+White noise of intensity s drives w_d (r ≥ 1) or all of G (r = 0), and s_f drives the channel of f where that is apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.numerics.exponential import exponential
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """A (N,N) and C (p,N) of ξ, N = n + r q2; noise (N,·) and f_noise (N,·) are the channels of s and s_f.
+
+    selector (q2,N) picks d = δ₁ out of ξ; it is None for r = 0, where d is read from the output error.
+    """
+
+    linear: LinearPart
+    order: int
+    A: Array = field(repr=False)
+    C: Array = field(repr=False)
+    noise: Array = field(repr=False)
+    f_noise: Array = field(repr=False)
+    selector: Array | None = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """One step H: ξ⁺ = Phi ξ + drive w̄ + noise, with w̄ (q_d,) the constant value of w_d (of w for r = 0) over the step.
+
+    Phi (N,N); noise_factor (N,·) with covariance noise_factor noise_factorᵀ per unit of s, f_noise_factor per s_f;
+    filter_phi is Phi with the α of the paper's design in it (r = 0), which only the gain is computed with;
+    held_disturbance (n,q2) and held_f (N,q1) are what d = 1 and f = 1 over the step add to x and to ξ.
+    """
+
+    H: float
+    Phi: Array = field(repr=False)
+    filter_phi: Array = field(repr=False)
+    noise_factor: Array = field(repr=False)
+    f_noise_factor: Array = field(repr=False)
+    drive: Array = field(repr=False)
+    held_disturbance: Array = field(repr=False)
+    held_f: Array = field(repr=False)
+
+
+def augment(linear: LinearPart, order: int) -> Augmented:
+    """Return the augmented system of disturbance order r = 0 … 3."""
+    n, q = linear.G_d.shape
+    if order == 0:
+        return Augmented(linear, 0, linear.A, linear.C, linear.G, np.zeros((n, 0)), None)
+    N = n + order * q
+    A = np.zeros((N, N))
+    A[:n, :n] = linear.A
+    A[:n, n : n + q] = linear.G_d
+    for i in range(order - 1):
+        A[n + i * q : n + (i + 1) * q, n + (i + 1) * q : n + (i + 2) * q] = np.eye(q)
+    C = np.hstack([linear.C, np.zeros((len(linear.C), order * q))])
+    f_channel = np.zeros((n, 0)) if linear.matched else linear.G_f
+    return Augmented(
+        linear=linear,
+        order=order,
+        A=A,
+        C=C,
+        noise=np.eye(N)[:, N - q :],
+        f_noise=np.vstack([f_channel, np.zeros((order * q, f_channel.shape[1]))]),
+        selector=np.eye(N)[n : n + q],
+    )
+
+
+def discretise(system: Augmented, H: float, alpha: float) -> Discrete:
+    """Sample the augmented system at H > 0 s; α (1/s) shifts the gain's model for r = 0 only (theory of eq. 8)."""
+    N = len(system.A)
+    shift = alpha * np.eye(N) if system.order == 0 else 0.0
+    shifted = system.A + shift
+    linear = system.linear
+    return Discrete(
+        H=H,
+        Phi=exponential(system.A * H),
+        filter_phi=exponential(shifted * H),
+        noise_factor=_noise_factor(shifted, system.noise, H),
+        f_noise_factor=_noise_factor(shifted, system.f_noise, H),
+        drive=_held(system.A, system.noise, H),
+        held_disturbance=_held(linear.A, linear.G_d, H),
+        held_f=np.vstack([_held(linear.A, linear.G_f, H), np.zeros((N - len(linear.A), linear.G_f.shape[1]))]),
+    )
+
+
+def _held(A: Array, channel: Array, H: float) -> Array:
+    """Return ∫₀ᴴ e^{At} dt g: what an input of one, held over the step, adds to the state."""
+    n, q = channel.shape
+    joined = np.zeros((n + q, n + q))
+    joined[:n] = np.hstack([A, channel]) * H
+    return exponential(joined)[:n, n:]
+
+
+def _noise_factor(A: Array, channel: Array, H: float) -> Array:
+    """Return F with F Fᵀ = ∫₀ᴴ e^{At} g gᵀ e^{Aᵀt} dt, by Gauss–Legendre quadrature of the factor itself.
+
+    Van Loan's formula gives F Fᵀ, whose small entries (H^{2k}) are lost to rounding before a factor could be taken.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(8 + min(56, int(np.linalg.norm(A, 1) * H)))
+    columns = [
+        np.sqrt(0.5 * H * weight) * exponential(A * (0.5 * H * (1.0 + node))) @ channel
+        for node, weight in zip(nodes, weights, strict=True)
+    ]
+    return np.hstack(columns)

@@ -1,0 +1,251 @@
+"""The sampled-data gain at a step H and given noise, and what it promises: noise and bias of d̂."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.augmented import Augmented, Discrete, discretise
+from ndob_fmu.runtime.numerics.exponential import exponential
+from ndob_fmu.runtime.numerics.kalman import (
+    Update,
+    converged_factor,
+    forward,
+    own_coordinates,
+    stationary,
+    triangular,
+    update,
+)
+
+# The response to a jump counts as decayed where the error has come this near to its end, of the way that it was from
+# it, and is not followed further than so many samples; the jump is tried at these parts of its step.
+_DECAYED = 0.01
+_LONGEST_RESPONSE = 200
+_INSTANTS = (0.0, 0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True)
+class Intensities:
+    """White noise that the design assumes: `disturbance` (q_d,) on w_d (on all of G for r = 0), `f` on f's channel.
+
+    Intensity is variance times time: a noise of intensity s, averaged over a step H, has the variance s/H. All of it
+    and the noise of the samples are taken to be `scale` times as large as they are, in standard deviations: this leaves
+    the gain at rest as it is, and sets what weighs how much against the uncertainty at the start.
+    """
+
+    disturbance: Array
+    f: float
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class SampledDesign:
+    """The stationary design. N = n + r q2; R = R_factor R_factorᵀ (p,p) is the noise of a sample.
+
+    noise_factor (N,·) and sample_factor (p,p): of the noise over a step and in a sample as the covariance has them,
+    `intensities.scale` times as large as they are; prior_factor (N,N): of the covariance P⁻ before a sample; rest: the
+    update there, with the gain K (N,p);
+    M_H (q2,p): d̂ = M_H e for r = 0, exact at DC; None for r ≥ 1, where d̂ is part of ξ̂;
+    own: the filter in its own coordinates.
+    """
+
+    system: Augmented
+    discrete: Discrete
+    intensities: Intensities
+    alpha: float
+    noise_factor: Array = field(repr=False)
+    R_factor: Array = field(repr=False)
+    sample_factor: Array = field(repr=False)
+    prior_factor: Array = field(repr=False)
+    rest: Update = field(repr=False)
+    M_H: Array | None
+    own: Own = field(repr=False)
+
+    @property
+    def K(self) -> Array:
+        """The stationary gain, (N,p)."""
+        return self.rest.K
+
+    @property
+    def error_dynamics(self) -> Array:
+        """F (N,N) of the error after the update, ξ̃⁺ = F ξ̃ + …: (I − K C) Φ; its eigenvalues are the filter's poles."""
+        return (np.eye(len(self.K)) - self.K @ self.system.C) @ self.discrete.Phi
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """The filter's poles (N,), in the z plane."""
+        return np.asarray(np.linalg.eigvals(self.own.after_sample)).astype(complex)
+
+    def noise_std(self, *, ahead: bool = False) -> Array:
+        """Return the standard deviation (q2,) that sample noise gives d̂, at the sample or a step `ahead` of it."""
+        own = self.own
+        if self.M_H is not None:
+            return np.asarray(np.linalg.norm(self.M_H @ self._innovation_noise(), axis=1))
+        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
+        selector = own.selector @ (own.step if ahead else own.update)
+        return np.asarray(np.linalg.norm(selector @ factor, axis=1))
+
+    def innovation_noise_std(self) -> Array:
+        """Return the standard deviation (p,) that sample noise gives y − C ξ̂⁻ once the gain has converged."""
+        return np.asarray(np.linalg.norm(self._innovation_noise(), axis=1))
+
+    def _innovation_noise(self) -> Array:
+        own = self.own
+        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
+        return np.hstack([own.C @ own.step @ factor, self.R_factor])
+
+    def bias_gain(self, *, ahead: bool = False) -> Array:
+        """Return |E| (q2,q2): the constant error of d̂_i where d_j's r-th derivative (the first, for r = 0) is one."""
+        own = self.own
+        if self.M_H is not None:
+            # A step later d̂ is still the one read at the sample.
+            lag = self.discrete.H * np.eye(len(self.M_H)) if ahead else 0.0
+            return np.abs(self.M_H @ own.C @ self._ramp_error() - lag)
+        error = own.settled(forward(own.T, self.discrete.drive))
+        return np.asarray(np.abs(own.selector @ (error if ahead else own.update @ own.update.T @ error)))
+
+    @cached_property
+    def usual_innovation(self) -> Array:
+        """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what samples show of it."""
+        own = self.own
+        source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
+        return np.asarray(np.abs(own.C @ own.settled(forward(own.T, source))))
+
+    @cached_property
+    def jump_responses(self) -> Array:
+        """Return |y − C ξ̂⁻| (i,J+1,p,q2) around a jump of d by one, at rest before: a row 0, then the samples after it.
+
+        Each i is another instant of the jump within its step. J is where they have decayed, 200 at most.
+        """
+        own, n, order = self.own, len(self.system.linear.A), self.system.order
+        q = self.discrete.held_disturbance.shape[1]
+
+        def error_after(duration: float) -> Array:
+            since = discretise(self.system, duration, self.alpha)
+            return forward(own.T, since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
+
+        errors = np.array([error_after((1.0 - instant) * self.discrete.H) for instant in _INSTANTS])
+        lasting = error_after(self.discrete.H) if order == 0 else np.zeros((n + order * q, q))
+        settled = own.settled(lasting)
+
+        def distance_left() -> float:
+            return float(np.linalg.norm([forward(own.update, error - settled) for error in errors]))
+
+        responses = [np.zeros((len(errors), len(own.C), q)), own.C @ errors]
+        distance = largest = distance_left()
+        while distance > _DECAYED * largest and len(responses) <= _LONGEST_RESPONSE:
+            errors = own.before_sample @ errors + lasting
+            responses.append(own.C @ errors)
+            distance = distance_left()
+            largest = max(largest, distance)
+        return np.asarray(np.abs(np.stack(responses, axis=1)))
+
+    def variance_of(self, states: Sequence[int]) -> float:
+        """Return the summed variance of these states' errors before a sample if f is wrong by one in each step, white.
+
+        At rest, and infinite where there is none.
+        """
+        own = self.own
+        factor = converged_factor(own.before_sample, forward(own.T, self.discrete.held_f))
+        return float(np.sum((own.T[list(states)] @ factor) ** 2)) if np.all(np.isfinite(factor)) else np.inf
+
+    def _ramp_error(self) -> Array:
+        """Return b (n,q2) of the error before the update for r = 0 and d = t in one channel each, x̃⁻ = a t/H + b."""
+        own, H, linear = self.own, self.discrete.H, self.system.linear
+        n, q_d = linear.G_d.shape
+        # Over a step the ramp adds the integral of e^{A(H−s)} G s, which is the drive of a doubly integrated channel.
+        chain = np.zeros((n + 2 * q_d, n + 2 * q_d))
+        chain[:n, :n], chain[:n, n : n + q_d] = linear.A, linear.G_d
+        chain[n : n + q_d, n + q_d :] = np.eye(q_d)
+        sampled = forward(own.T, exponential(chain * H)[:n])
+        from_d, from_rate = sampled[:, n : n + q_d], sampled[:, n + q_d :]
+        return own.settled(from_rate - own.settled(from_d * H))
+
+
+@dataclass(frozen=True)
+class Own:
+    """The filter in coordinates in which its covariance is I, where solving loses no digits.
+
+    The error is T z⁻ before a sample with the noise sample_factor v, and T update z after it, z = updateᵀ z⁻ − gain v;
+    a step later z⁻ = step z. T, update, step (N,N), gain (N,p); C (p,N) and selector (q2,N) act on z⁻. Both covariances
+    are I, so that update and step are contractions; I − K C = T update updateᵀ T⁻¹ is no difference of large numbers.
+    """
+
+    T: Array
+    update: Array
+    step: Array
+    gain: Array
+    C: Array
+    selector: Array
+
+    @property
+    def after_sample(self) -> Array:
+        """(I − K C) Φ (N,N), from z to z."""
+        return np.asarray(self.update.T @ self.step)
+
+    @property
+    def before_sample(self) -> Array:
+        """Φ (I − K C) (N,N), from z⁻ to z⁻."""
+        return np.asarray(self.step @ self.update.T)
+
+    def settled(self, added: Array) -> Array:
+        """Return z⁻ (N,·), to which the error converges where every step adds `added` (N,·) to it."""
+        return np.asarray(np.linalg.solve(np.eye(len(self.T)) - self.before_sample, added), dtype=float)
+
+
+def _own(system: Augmented, discrete: Discrete, sample_factor: Array, prior_factor: Array) -> Own:
+    T = own_coordinates(prior_factor)
+    seen = np.linalg.solve(sample_factor, system.C @ T)
+    p, N = seen.shape
+    after = triangular(np.block([[np.eye(p), seen], [np.zeros((N, p)), np.eye(N)]]))[p:, p:]
+    selector = np.zeros((0, N)) if system.selector is None else system.selector
+    return Own(
+        T=T,
+        update=after,
+        step=forward(T, discrete.Phi @ T @ after),
+        gain=after.T @ seen.T,
+        C=system.C @ T,
+        selector=selector @ T,
+    )
+
+
+def sampled_design(
+    system: Augmented, H: float, R_factor: Array, intensities: Intensities, alpha: float
+) -> SampledDesign:
+    """Design the stationary gain for a step H > 0 s. Raises DesignError where it cannot be found."""
+    discrete = discretise(system, H, alpha)
+    noise_factor, sample_factor = scaled_noise(discrete, intensities), intensities.scale * R_factor
+    prior_factor = stationary(discrete.filter_phi, system.C, noise_factor, sample_factor)
+    rest = update(prior_factor, system.C, sample_factor)
+    own = _own(system, discrete, sample_factor, prior_factor)
+    return SampledDesign(
+        system=system,
+        discrete=discrete,
+        intensities=intensities,
+        alpha=alpha,
+        noise_factor=noise_factor,
+        R_factor=R_factor,
+        sample_factor=sample_factor,
+        prior_factor=prior_factor,
+        rest=rest,
+        M_H=_dc_inverse(system, discrete, own) if system.order == 0 else None,
+        own=own,
+    )
+
+
+def scaled_noise(discrete: Discrete, intensities: Intensities) -> Array:
+    """Return the factor (N,·) of the process noise's covariance over one step."""
+    repeats = discrete.noise_factor.shape[1] // len(intensities.disturbance)
+    columns = np.tile(np.sqrt(intensities.disturbance), repeats)
+    noise = np.hstack([discrete.noise_factor * columns, np.sqrt(intensities.f) * discrete.f_noise_factor])
+    return np.asarray(intensities.scale * noise)
+
+
+def _dc_inverse(system: Augmented, discrete: Discrete, own: Own) -> Array:
+    """Return M_H (q2,p): the rows for d of [C (I − Φ (I − K C))⁻¹ Γ]⁻¹, the left inverse where p > q."""
+    return np.asarray(system.linear.selector @ np.linalg.pinv(own.C @ own.settled(forward(own.T, discrete.drive))))

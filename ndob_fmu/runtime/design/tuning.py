@@ -1,0 +1,197 @@
+"""From what users know to what the design needs: noise and pace of the disturbance → noise intensities.
+
+Known are the noise σ of a sample and a bound D of the disturbance's r-th derivative (of the first, for r = 0). A fast
+observer follows the disturbance but passes the noise, a slow one the reverse. The design minimises the sum of both,
+
+    J(s) = Σ_i (|E_i(s)| D + std_i(s)) / D₀ᵢ,
+
+|E| D being the error that a constant r-th derivative leaves behind, and std the noise of d̂. The expert's knob is
+π = s / (σ² H), the ratio of the intensities of disturbance and measurement noise in continuous time, eq. (8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
+from ndob_fmu.runtime.design.augmented import Augmented
+from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.design.sampled_design import Intensities, SampledDesign, sampled_design
+
+# f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
+# standard deviations of the noise makes of it.
+_F_ERROR_IN_SIGMA = 10.0
+# Bandwidths over 1/H that are looked at; beyond the last one nothing changes any more but rounding.
+_SLOWEST, _FASTEST = 1e-4, 4.0
+_SCAN = 10
+# The logarithm of the cost is compared this far on both sides of its minimum, in the logarithm of the bandwidth. Where
+# it is nearly flat, a bandwidth lower by a factor e may cost this part more.
+_REACH = 0.1
+_SLOWER = 1e-4
+_REFINEMENTS = 25
+_SAME_PLACE = 1e-9
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the user knows, in the units of outputs and disturbances.
+
+    R_factor (p,p): diagonal, standard deviation of each output's sample; disturbance_bound D₀ (q2,) and
+    disturbance_rate (q2,) bound |d| and |d^{(r)}| (|ḋ| for r = 0); lipschitz: γ.
+    """
+
+    R_factor: Array
+    disturbance_bound: Array
+    disturbance_rate: Array
+    lipschitz: float
+
+
+def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledge) -> Intensities:
+    """Return the intensities that minimise J at the step H, on the scale of the disturbance.
+
+    Where samples have hardly any noise only the ratio of the intensities counts, and no more once it is large. The
+    scale is such that white noise on w_d is in a step as large as D (for r = 0, on G, as D₀).
+    """
+
+    def cost(log_bandwidth: float) -> float:
+        try:
+            design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
+        except DesignError:  # at the far ends of the range; if it is everywhere, the final design says so
+            return np.inf
+        with np.errstate(invalid="ignore"):
+            bias, noise = predicted_error(design, known.disturbance_rate)
+        total = float(np.sum((bias + noise) / known.disturbance_bound))
+        return float(np.log(total)) if np.isfinite(total) else np.inf
+
+    def _at(bandwidth: float) -> Intensities:
+        return at_bandwidth(system, H, bandwidth, known)
+
+    best = _minimise(cost, np.log(_SLOWEST / H), np.log(_FASTEST / H))
+    found = _at(float(np.exp(best)))
+    pace = known.disturbance_rate if system.order else known.disturbance_bound
+    scale = float(np.max(np.sqrt(H) * pace / np.sqrt(found.disturbance[-len(pace) :])))
+    return replace(found, scale=max(1.0, scale))
+
+
+def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
+    """Return the intensities at which d is followed up to `bandwidth` (rad/s): where its spectrum meets the noise's.
+
+    A disturbance of intensity s behind r integrations and a channel of relative degree ρ with gain g has the spectrum
+    s g² / ω^{2(r+ρ)} in an output, the noise σ² H.
+    """
+    rates = known.disturbance_rate
+    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    common = H * bandwidth ** (2 * (system.order + degree)) / gain**2 / rates[0] ** 2
+    return _complete(system, H, common * rates**2, bandwidth, known)
+
+
+def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensities:
+    """Return the intensities of π = s / (σ² H), σ being the smallest noise of an output."""
+    s = pi * float(np.min(np.diag(known.R_factor))) ** 2 * H
+    bandwidth = bandwidth_of(system, H, s, known)
+    return _complete(system, H, np.full(system.linear.G_d.shape[1], s), bandwidth, known)
+
+
+def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge) -> float:
+    """Return the bandwidth (rad/s) that an intensity on the first disturbance asks for; see `at_bandwidth`."""
+    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
+
+
+def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> Intensities:
+    """Add the intensity of f's channel; for r = 0 that channel is one of the disturbance's."""
+    largest = float(np.max(disturbance))
+    if system.order == 0:
+        q_f = system.linear.G.shape[1] - len(disturbance)
+        return Intensities(disturbance=np.concatenate([np.full(q_f, largest), disturbance]), f=0.0)
+    like_disturbance = largest / min(bandwidth, 1.0 / H) ** (2 * system.order)
+    by_noise = (_F_ERROR_IN_SIGMA * known.lipschitz * float(np.min(np.diag(known.R_factor)))) ** 2 * H
+    return Intensities(disturbance=disturbance, f=max(like_disturbance, by_noise))
+
+
+def steady_std(design: SampledDesign, rate: Array) -> Array:
+    """Return the one-sigma error bar (q2,) of d̂ a step ahead, for a disturbance of the rate (q2,) of its class.
+
+    The bias counts as a number that may lie anywhere within its bounds: its variance is a third of their square.
+    """
+    bias = design.bias_gain(ahead=True) @ rate
+    return np.asarray(np.hypot(design.noise_std(ahead=True), bias / np.sqrt(3.0)))
+
+
+def steady_residual_std(design: SampledDesign, usual: Array) -> Array:
+    """Return the standard deviation (p,) of residuals once the gain is frozen; `usual` (q2,) bounds the disturbance.
+
+    What the disturbance leaves in the residuals counts like the bias of `steady_std`.
+    """
+    left = design.usual_innovation @ usual
+    return np.asarray(np.hypot(design.innovation_noise_std(), left / np.sqrt(3.0)))
+
+
+def sine_rate(bound: float, order: int) -> float:
+    """Return the bound of the r-th derivative (the first, for r = 0) of a sine of 1 Hz with amplitude `bound`."""
+    return float(bound * (2.0 * np.pi) ** max(order, 1))
+
+
+def predicted_error(design: SampledDesign, rate: Array) -> tuple[Array, Array]:
+    """Return bias and noise (q2,) of d̂ at the sample, for a disturbance of the rate (q2,) of its class."""
+    return design.bias_gain() @ rate, design.noise_std()
+
+
+def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
+    """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise.
+
+    Raises DesignError where no output sees it, as with parameters of such sizes that all is lost in rounding.
+    """
+    A_norm = float(np.linalg.norm(linear.A, 2))
+    largest = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C), 2) * np.linalg.norm(channel))
+    for degree in range(1, len(linear.A) + 1):
+        gain = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C @ channel)))
+        if gain > 1e-12 * largest * max(A_norm, 1e-300) ** (degree - 1):
+            return degree, gain
+        channel = linear.A @ channel
+    raise DesignError.report(
+        "unknown inputs",
+        expected="each to show in an output",
+        received="one that shows in none",
+        likely="parameters of sizes that are out of proportion",
+    )
+
+
+def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
+    """Return the place of the least cost on [low, high], to the accuracy of the costs.
+
+    A scan finds the neighbourhood. In it the place is sought where the cost is the same at both sides: by the method of
+    false position (Illinois), as comparisons of costs near their minimum would be decided by rounding errors.
+    """
+
+    def slope(place: float) -> float:
+        return cost(place + _REACH) - cost(place - _REACH) + 2.0 * _REACH * _SLOWER
+
+    places = np.linspace(low, high, _SCAN)
+    best = int(np.argmin([cost(place) + _SLOWER * place for place in places]))
+    left, right = float(places[max(best - 1, 0)]), float(places[min(best + 1, _SCAN - 1)])
+    at_left, at_right = slope(left), slope(right)
+    if not at_left < 0.0:
+        return left
+    if not at_right > 0.0:
+        return right
+    place, last = left, 0
+    for _ in range(_REFINEMENTS):
+        before, place = place, right - at_right * (right - left) / (at_right - at_left)
+        if not left < place < right:  # also where a cost, and with it a slope, is infinite
+            place = 0.5 * (left + right)
+        if abs(place - before) <= _SAME_PLACE:
+            break
+        at_place = slope(place)
+        if at_place < 0.0:
+            left, at_left = place, at_place
+            at_right *= 0.5 if last < 0 else 1.0
+        else:
+            right, at_right = place, at_place
+            at_left *= 0.5 if last > 0 else 1.0
+        last = -1 if at_place < 0.0 else 1
+    return place

@@ -1,0 +1,111 @@
+"""The integrator of plant and prediction: Cash and Karp's method of order 5, at rounding-level tolerance."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from math import inf, isfinite
+from typing import TypeVar
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import IntegrationError
+
+RELATIVE_TOLERANCE = 2e-12
+ABSOLUTE_TOLERANCE = 1e-12
+# In one communication step. After so many trials, 0.1 s of a plant's generated code, the rest is judged by its substep.
+MOST_SUBSTEPS = 100_000
+_JUDGED_AFTER = 10_000
+# A substep that comes this near to the end of the interval goes to the end.
+ALMOST = 1.0 - 1e-12
+
+# Cash and Karp, RK5(4): nodes, weights of the stages, of the result and of its error, for six evaluations. Methods that
+# have a seventh one for the next substep waste it, since a sample corrects x before that.
+NODES = (0.0, 1 / 5, 3 / 10, 3 / 5, 1.0, 7 / 8)
+STAGE_WEIGHTS = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (3 / 10, -9 / 10, 6 / 5),
+    (-11 / 54, 5 / 2, -70 / 27, 35 / 27),
+    (1631 / 55296, 175 / 512, 575 / 13824, 44275 / 110592, 253 / 4096),
+)
+WEIGHTS = (37 / 378, 0.0, 250 / 621, 125 / 594, 0.0, 512 / 1771)
+ERROR_WEIGHTS = (-277 / 64512, 0.0, 6925 / 370944, -6925 / 202752, -277 / 14336, 277 / 7084)
+
+_STAGE_WEIGHTS = tuple(np.array(weights) for weights in STAGE_WEIGHTS)
+_WEIGHTS, _ERROR_WEIGHTS = np.array(WEIGHTS), np.array(ERROR_WEIGHTS)
+
+X = TypeVar("X")
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what leaves the finite numbers ends in an error below, not in a warning
+def integrate(
+    derivatives: Callable[[float, Array], Array], x: Array, t: float, t_end: float, h: float
+) -> tuple[Array, float]:
+    """Return x (n,) at t_end of x' = derivatives(t, x) from x at t, and the substep to try next; h is the one to try.
+
+    Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
+    """
+    # At a jump of the right-hand side in time t_end already has the new value; the last stage needs the old one.
+    last_inside = np.nextafter(t_end, t)
+
+    def trial(t: float, x: Array, step: float) -> tuple[Array, float]:
+        K = np.empty((len(NODES), len(x)))
+        K[0] = derivatives(t, x)
+        for i in range(1, len(NODES)):
+            stage = x + step * (K[:i].T @ _STAGE_WEIGHTS[i])
+            K[i] = derivatives(min(t + NODES[i] * step, last_inside), stage)
+        after = x + step * (_WEIGHTS @ K)
+        errors = np.abs(step * (_ERROR_WEIGHTS @ K)) / (ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * np.abs(after))
+        return after, float(np.max(errors, initial=0.0))
+
+    return adapt(trial, x, t, t_end, h)
+
+
+def adapt(
+    trial: Callable[[float, X, float], tuple[X, float]], x: X, t: float, t_end: float, h: float
+) -> tuple[X, float]:
+    """Return x at t_end from x at t, and the substep to try next, by trials of which h is the first one's.
+
+    trial(t, x, step) returns x at t + step and the norm of its error, at most 1 where it may be accepted.
+    """
+    for trials in itertools.count(1):
+        remaining = t_end - t
+        final = h >= remaining * ALMOST
+        step = remaining if final else h
+        try:
+            after, error_norm = trial(t, x, step)
+        except (ArithmeticError, ValueError) as error:
+            raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
+        if not isfinite(error_norm):
+            raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
+        if error_norm <= 1.0:
+            x, t = after, t + step
+            if final:
+                # A step cut short by the end of the interval says little against the longer one that was planned.
+                return x, max(h, next_substep(step, error_norm))
+        h = next_substep(step, error_norm)
+        if needs_too_many(trials, t_end - t, h):
+            break
+    raise IntegrationError(
+        f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
+        "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
+    )
+
+
+def needs_too_many(trials: int, remaining: float, h: float) -> bool:
+    """Return whether the rest of an interval takes more than the substeps allowed, after so many trials, h the next."""
+    return trials >= MOST_SUBSTEPS or (trials == _JUDGED_AFTER and remaining > MOST_SUBSTEPS * h)
+
+
+def next_substep(step: float, error_norm: float) -> float:
+    """Return the substep to try after one of this length and error."""
+    grow = min(5.0, max(0.2, 0.9 * error_norm**-0.2)) if error_norm > 0.0 else 5.0
+    return step * (min(grow, 0.9) if error_norm > 1.0 else grow)
+
+
+def largest(ratios: Sequence[float]) -> float:
+    """Return the largest of some numbers ≥ 0, infinity where one of them is no number."""
+    return max(ratios) if isfinite(sum(ratios)) else inf

@@ -1,0 +1,163 @@
+"""The covariance recursion behind the sampled-data gain, and its limit.
+
+    update    S = C P⁻ Cᵀ + R,   K = P⁻ Cᵀ S⁻¹,   P = (I − K C) P⁻
+    predict   P⁻ = Φ P Φᵀ + Q
+
+The recursion is carried out on factors, P = F Fᵀ, by orthogonal triangularisation. It serves what the Joseph form
+is for, a symmetric and positive P, and keeps twice the digits: between an angle known to 1e-15 and a disturbance of
+1e2, products of covariances would lose the smaller one altogether.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
+
+# A filter that takes more than 2⁴⁰ steps to forget counts as one that never does: after more squarings rounding errors
+# alone decide on which side of one a pole near it lies.
+_MOST_DOUBLINGS = 40
+# Each doubling squares what is left to add: after an addition of this relative size, nothing is.
+_CONVERGED = 1e-9
+# The first pass is made in the states themselves, each other one in the coordinates that the pass before found. These
+# are right where a pass leaves them within this factor.
+_MOST_PASSES = 5
+_SAME_COORDINATES = 4.0
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Update:
+    """One measurement update: gain K (N,p), factor (N,N) of P after it, factor (p,p) of the innovation's S."""
+
+    K: Array
+    factor: Array
+    innovation_factor: Array
+
+
+def update(factor: Array, C: Array, R_factor: Array) -> Update:
+    """Update P⁻ = factor factorᵀ (N,N) with a measurement C (p,N) of noise covariance R_factor R_factorᵀ (p,p)."""
+    p, N = C.shape
+    lower = triangular(np.block([[R_factor, C @ factor], [np.zeros((N, p)), factor]]))
+    S_factor = lower[:p, :p]
+    K = np.linalg.solve(S_factor.T, lower[p:, :p].T).T
+    return Update(K=K, factor=lower[p:, p:], innovation_factor=S_factor)
+
+
+def predict(factor: Array, Phi: Array, noise_factor: Array) -> Array:
+    """Return the factor (N,N) of Φ P Φᵀ + Q, with Q = noise_factor noise_factorᵀ."""
+    return triangular(np.hstack([Phi @ factor, noise_factor]))
+
+
+def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Array:
+    """Return the factor (N,N) of the P⁻ to which the recursion converges.
+
+    The doubling algorithm finds it; as rounding errors matter least where P⁻ is I, it is repeated in such coordinates.
+    Raises DesignError where the filter does not forget its errors within 2⁴⁰ steps, or where one more step of the
+    recursion, in the states themselves, changes the correction K e by more than 1e-6 of a state's standard deviation.
+    """
+    change = np.inf
+    with np.errstate(all="ignore"):  # what leaves the finite numbers is refused below
+        seen = np.linalg.solve(R_factor, C)
+        factor = np.eye(len(Phi))
+        try:
+            for _ in range(_MOST_PASSES):
+                T = own_coordinates(factor)
+                z_factor = _doubled(forward(T, Phi @ T), seen @ T, forward(T, noise_factor))
+                factor = triangular(T @ z_factor)
+                sizes = np.abs(np.diag(z_factor))
+                if np.all((sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)):
+                    break
+            found = update(factor, C, R_factor)
+            change = gain_change(found, update(predict(found.factor, Phi, noise_factor), C, R_factor))
+        except np.linalg.LinAlgError:
+            pass
+    if change <= _TOLERANCE:
+        return factor
+    raise DesignError.report(
+        "sampled-data gain",
+        expected=f"a stationary covariance, the gain's change per step at most {_TOLERANCE:g} of its size",
+        received=f"{change:.1e}",
+        likely="a mode that is almost unobservable at this step size, or noise and disturbance of impossible sizes",
+    )
+
+
+def _doubled(Phi: Array, C: Array, noise_factor: Array) -> Array:
+    """Return the factor (N,N) of the limit of P⁻ for unit measurement noise.
+
+    k steps lead from a covariance P to D Dᵀ + E (P⁻¹ + B Bᵀ)⁻¹ Eᵀ. Two such stretches make one of 2k steps; they are
+    joined on the factors D and B by orthogonal triangularisation (the structure-preserving doubling algorithm of Chu,
+    Fan and Lin, 2005, on square roots). When E has vanished, k steps forget P, and D is the limit. Raises LinAlgError
+    where E does not vanish.
+    """
+    N = len(Phi)
+    identity, zero = np.eye(N), np.zeros((N, N))
+    E = Phi
+    D, B = triangular(np.hstack([noise_factor, zero])), triangular(np.hstack([C.T, zero]))
+    for _ in range(_MOST_DOUBLINGS):
+        # The first stretch's covariance D Dᵀ is updated with Bᵀ ξ + v, which is what the second stretch measures.
+        lower = triangular(np.block([[identity, B.T @ D], [zero, D]]))
+        seen = forward(lower[:N, :N], B.T @ E)
+        added = E @ lower[N:, N:]
+        E = E @ (E - lower[N:, :N] @ seen)
+        D, B = triangular(np.hstack([D, added])), triangular(np.hstack([B, seen.T]))
+        if not (np.all(np.isfinite(D)) and np.all(np.isfinite(E))):
+            break
+        sizes = _row_norms(D)
+        forgotten = np.max(np.abs(E * sizes / sizes[:, None])) <= _CONVERGED
+        if forgotten and np.max(np.linalg.norm(added, axis=1) / sizes) <= _CONVERGED:
+            return D
+    raise np.linalg.LinAlgError
+
+
+def own_coordinates(factor: Array) -> Array:
+    """Return T (N,N), lower triangular, of ξ = T z in which the covariance is I, but for what no noise reaches."""
+    T = triangular(factor)
+    own = np.abs(np.diag(T))
+    norms = np.linalg.norm(T, axis=1)
+    own = np.where(norms > 0.0, np.maximum(own, np.finfo(float).eps * norms), 1.0)
+    np.fill_diagonal(T, np.copysign(own, np.diag(T)))
+    return T
+
+
+def gain_change(before: Update, after: Update) -> float:
+    """Return the largest change of K e, in standard deviations of the state that it corrects."""
+    change = (after.K - before.K) @ after.innovation_factor
+    return float(np.max(np.linalg.norm(change, axis=1) / _row_norms(after.factor)))
+
+
+def converged_factor(F: Array, inputs: Array) -> Array:
+    """Return the factor (N,N) of X = F X Fᵀ + inputs inputsᵀ, to which x⁺ = F x + inputs v converges.
+
+    It is infinite where x does not forget within 2⁴⁰ steps.
+    """
+    factor = triangular(np.hstack([inputs, np.zeros_like(F)]))
+    with np.errstate(all="ignore"):
+        for _ in range(_MOST_DOUBLINGS):
+            added = F @ factor
+            factor = triangular(np.hstack([factor, added]))
+            F = F @ F
+            if np.all(np.linalg.norm(added, axis=1) <= _CONVERGED * np.linalg.norm(factor, axis=1)):
+                return factor
+    return np.full(F.shape, np.inf)
+
+
+def forward(lower: Array, right: Array) -> Array:
+    """Solve lower X = right for a lower triangle (N,N), row by row, so that the scale of the rows does not matter."""
+    X = np.array(right)
+    for i, row in enumerate(lower):
+        X[i] = (X[i] - row[:i] @ X[:i]) / row[i]
+    return X
+
+
+def triangular(rows: Array) -> Array:
+    """Return the lower triangle T (m,m) with T Tᵀ = rows rowsᵀ, for rows (m,·) with at least as many columns."""
+    return np.array(np.asarray(np.linalg.qr(rows.T, mode="r")).T)
+
+
+def _row_norms(factor: Array) -> Array:
+    norms = np.linalg.norm(factor, axis=1)
+    return np.asarray(np.where(norms > 0.0, norms, 1.0))

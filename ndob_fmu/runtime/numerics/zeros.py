@@ -1,0 +1,142 @@
+"""Transmission zeros and hidden modes, found so that the units of the plant do not decide.
+
+A zero of (A, G, C) is a z at which the pencil [[A − zI, G], [C, 0]] loses column rank: an unknown input that moves the
+states as e^{zt} and leaves every output at rest. With no G these are the modes that C does not see. The infinite part
+of the pencil is removed by orthogonal transformations (Emami-Naeini and Van Dooren, Automatica 1982): its eigenvalues,
+perturbed by rounding, would otherwise pass for finite zeros. Tall systems (p > q) need no squaring down for that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import AssumptionError
+from ndob_fmu.runtime.design.gains import LinearPart
+
+ComplexArray = NDArray[np.complex128]
+
+RANK_TOLERANCE = 1e-10
+_REWEIGHTINGS = 20
+
+
+@dataclass(frozen=True)
+class Balanced:
+    """A system in units of its own: A (n,n), G (n,q), C (p,n) with entries as near to one as diagonal scaling allows.
+
+    `states` (n,) holds S of x = S z; `rate` (1/s) is the unit of time: λ of the plant is rate · λ of `A`.
+    """
+
+    A: Array
+    G: Array
+    C: Array
+    states: Array
+    rate: float
+
+
+def balance(A: Array, G: Array, C: Array) -> Balanced:
+    """Return the system in the units of states, unknown inputs, outputs and time that bring its entries nearest to one.
+
+    The logarithms of the non-zero entries are fitted by least squares, so that the result is the same whatever units
+    the plant was written in, up to the rounding of each scale to a power of two, which keeps the scaling exact. The fit
+    is Huber's: an entry that is a rounding error, far below all others, has no more say than any other.
+    """
+    n, q, p = len(A), G.shape[1], len(C)
+    entries, rows = [], []
+    for matrix, row_scale, column_scale, timed in (
+        (A, (-1.0, 0), (1.0, 0), True),
+        (G, (-1.0, 0), (1.0, n), False),
+        (C, (1.0, n + q), (1.0, 0), False),
+    ):
+        for i, j in np.argwhere(matrix != 0):
+            row = np.zeros(n + q + p + 1)
+            row[row_scale[1] + i] += row_scale[0]
+            row[column_scale[1] + j] += column_scale[0]
+            row[-1] = -1.0 if timed else 0.0
+            rows.append(row)
+            entries.append(np.log2(abs(matrix[i, j])))
+    exponents = np.zeros(n + q + p + 1)
+    if rows:
+        system, logarithms = np.array(rows), np.array(entries)
+        weights = np.ones(len(rows))
+        for _ in range(_REWEIGHTINGS):
+            exponents = np.linalg.lstsq(weights[:, None] * system, -weights * logarithms, rcond=None)[0]
+            weights = 1.0 / np.sqrt(np.maximum(1.0, abs(logarithms + system @ exponents)))
+    scales = np.exp2(np.round(exponents))
+    states, inputs, outputs, rate = scales[:n], scales[n : n + q], scales[n + q : -1], float(scales[-1])
+    return Balanced(
+        A=A * states / states[:, None] / rate,
+        G=G * inputs / states[:, None],
+        C=C * states * outputs[:, None],
+        states=states,
+        rate=rate,
+    )
+
+
+def transmission_zeros(linear: LinearPart) -> ComplexArray:
+    """Return the finite transmission zeros of (A, G, C) in 1/s, the one farthest to the right first.
+
+    Raises AssumptionError where the system is degenerate: then every z is a zero.
+    """
+    system = balance(linear.A, linear.G, linear.C)
+    zeros, rank = pencil_zeros(system.A, system.G, system.C)
+    q = linear.G.shape[1]
+    if rank < q:
+        raise AssumptionError.report(
+            "transmission zeros",
+            expected=f"{q} unknown inputs that the {len(linear.C)} outputs tell apart",
+            received=f"a transfer matrix of normal rank {rank}",
+            likely="p < q, an unknown input that reaches no output, or two that reach the outputs in the same way",
+        )
+    return system.rate * zeros
+
+
+def require_zeros_left_of(linear: LinearPart, margin: float) -> None:
+    """Raise AssumptionError unless every zero has Re z < −margin (1/s); the parameters of an FMU may move them."""
+    zeros = transmission_zeros(linear)
+    if len(zeros) and zeros[0].real >= -margin:
+        raise AssumptionError.report(
+            "transmission zeros",
+            expected=f"all of them left of {-margin:g} 1/s",
+            received=f"one at {zeros[0]:.6g} 1/s",
+            likely="alpha too large, or parameters that make the plant non-minimum phase",
+        )
+
+
+def pencil_zeros(A: Array, G: Array, C: Array) -> tuple[ComplexArray, int]:
+    """Return the finite zeros of a balanced system and the normal rank of C (sI − A)⁻¹ G.
+
+    Where that rank is below q, there are no zeros to speak of and the array is empty.
+    """
+    q = G.shape[1]
+    D = np.zeros((len(C), q))
+    tolerance = RANK_TOLERANCE * float(np.linalg.norm(np.block([[A, G], [C, D]])))
+    A, B, C, D = _remove_infinite_part(A, G, C, D, tolerance)
+    n, rank = len(A), len(D)
+    if rank < q or n == 0:
+        return np.zeros(0, dtype=complex), rank
+    # D is square and invertible: the zeros are the eigenvalues of A − B D⁻¹ C, found without inverting D itself.
+    kernel = np.linalg.svd(np.hstack([C, D]))[2][q:].T
+    zeros = np.linalg.eigvals(np.hstack([A, B]) @ kernel @ np.linalg.inv(kernel[:n])).astype(complex)
+    return zeros[np.lexsort((zeros.imag, -zeros.real))], rank
+
+
+def _remove_infinite_part(
+    A: Array, B: Array, C: Array, D: Array, tolerance: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return a smaller system (A, B, C, D) with the same finite zeros and a D of full row rank."""
+    while True:
+        U, sigma, _ = np.linalg.svd(D)
+        rank = int(np.sum(sigma > tolerance))
+        C, D = U.T @ C, (U.T @ D)[:rank]
+        at_rest = C[rank:]  # these outputs do not see the input, so the states that they do see must be zero
+        _, sigma, Vt = np.linalg.svd(at_rest)
+        seen = int(np.sum(sigma > tolerance))
+        if seen == 0:
+            return A, B, C[:rank], D
+        zero, free = Vt[:seen].T, Vt[seen:].T
+        C, D = np.vstack([C[:rank] @ free, zero.T @ A @ free]), np.vstack([D, zero.T @ B])
+        A, B = free.T @ A @ free, free.T @ B

@@ -1,0 +1,1 @@
+"""What is computed at every step: the two observers."""

@@ -1,0 +1,1 @@
+"""What every room may use: progress, interrupts, temporary folders, units, optional packages."""

@@ -1,0 +1,212 @@
+"""The bound holds in every run, and the worst run that can be found comes close to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ndob_fmu.analysis.certificate import certify, theorem_3_bound
+from ndob_fmu.runtime.blocks.plant import Plant
+from ndob_fmu.runtime.design.gains import paper_gains
+from ndob_fmu.runtime.numerics.exponential import exponential
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
+from tests.helpers.problems import MODELS
+
+FLEXIBLE = MODELS["flexible_joint"]
+NOISE = 1e-4
+WARM_UP = 3.0
+
+
+def observer_for(model, order, *, noise_std=NOISE, rate=None):
+    equations = model.equations
+    bound = equations.disturbance_bound
+    return sampled_observer(
+        equations,
+        model.parameter_values(),
+        order=order,
+        noise_std=noise_std,
+        disturbance_bound=bound,
+        disturbance_rate=rate or [b * 6.0 ** max(order, 1) for b in bound],
+        x_hat=equations.x0,
+        x_std=np.ones(len(equations.states)),
+        alpha=model.observer.alpha,
+        pi=1e8,
+    )
+
+
+def certificate_of(observer: SampledObserver, H):
+    return certify(
+        observer.design(H),
+        disturbance_rate=observer.known.disturbance_rate,
+        disturbance_bound=observer.known.disturbance_bound,
+        lipschitz=observer.equations.lipschitz,
+        f_states=observer.equations.f_states,
+    )
+
+
+class Played:
+    """A disturbance whose r-th derivative is one constant per piece of time, integrated exactly."""
+
+    def __init__(self, rates, piece, order, start=0.0):
+        self.piece, self.order = piece, order
+        self.breaks = tuple(np.arange(1, len(rates)) * piece)
+        values = np.zeros((len(rates) + 1, order + 1))
+        values[0, 0] = start
+        for k, rate in enumerate(rates):
+            values[k, order] = rate
+            values[k + 1, :order] = [self._taylor(values[k], i, piece) for i in range(order)]
+        self.values = values
+
+    def _taylor(self, derivatives, i, s):
+        total, term = 0.0, 1.0
+        for j in range(i, self.order + 1):
+            total += derivatives[j] * term
+            term *= s / (j - i + 1)
+        return total
+
+    def __call__(self, t):
+        k = min(int(t / self.piece + 1e-9), len(self.values) - 2)
+        return self._taylor(self.values[k], 0, t - k * self.piece)
+
+
+def errors_of(observer, model, disturbance, H, steps):
+    """Run plant and observer, both from the true state, and return |d̂ − d| at the sample, ahead, and |x̂ − x|."""
+    equations = model.equations
+    plant = Plant(equations, observer.parameters, [disturbance])
+    x, o = plant.init(equations.x0, 0.0), observer.init(equations.x0)
+    C = observer.system.linear.C
+    u = [0.0] * len(equations.inputs)
+    found = []
+    for k in range(steps):
+        o, e = observer.step(o, u, C @ x.x, H)
+        now = disturbance(k * H)
+        x = plant.step(x, u, [0.0], (k + 1) * H)
+        then = disturbance((k + 1) * H)
+        found.append([abs(e.d_at_sample[0] - now), abs(e.d_hat[0] - then), *np.abs(np.subtract(e.x_hat, x.x))])
+    return np.array(found)
+
+
+def worst_rates(observer, H, rate, steps, pieces):
+    """Return the r-th derivative that the linear error system finds worst for the last sample: a bang-bang signal."""
+    design = observer.design(H)
+    F = design.discrete.Phi @ (np.eye(len(design.K)) - design.K @ design.system.C)
+    row = design.system.selector @ (np.eye(len(design.K)) - design.K @ design.system.C)
+    within = [
+        exponential(design.system.A * (H * (1.0 - (i + 0.5) / pieces))) @ design.system.noise for i in range(pieces)
+    ]
+    signs = []
+    for _ in range(steps):
+        signs.append([float(np.sign((row @ column)[0, 0])) for column in within])
+        row = row @ F
+    return rate * np.array(signs[::-1]).ravel()
+
+
+@pytest.mark.parametrize(("order", "H"), [(1, 2e-3), (2, 5e-3), (3, 1e-2)])
+def test_the_worst_disturbance_of_the_class_comes_within_a_factor_two_of_the_bound_and_never_beyond(order, H):
+    observer = observer_for(FLEXIBLE, order)
+    bound = certificate_of(observer, H)
+    rate = float(observer.known.disturbance_rate[0])
+    steps = round(WARM_UP / H)
+    # The derivative that is worst for the last sample alternates so fast that d itself hardly moves.
+    played = Played(worst_rates(observer, H, rate, steps, 4), H / 4, order)
+    found = errors_of(observer, FLEXIBLE, played, H, steps + 1)
+    assert bound.exists
+    assert found[-1, 0] <= bound.at_sample[0]
+    assert bound.at_sample[0] <= 2.0 * found[-1, 0]
+    assert np.all(found[:, 1] <= bound.ahead[0])
+    assert np.all(found[:, 2:] <= bound.states + 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bound_holds_for_random_disturbances_of_the_class(seed):
+    random = np.random.default_rng(seed)
+    order, H = int(random.integers(1, 4)), float(random.choice([2e-3, 5e-3, 1e-2]))
+    observer = observer_for(FLEXIBLE, order, noise_std=float(random.choice([0.0, 1e-6, 1e-4])))
+    bound, rate = certificate_of(observer, H), float(observer.known.disturbance_rate[0])
+    pieces, piece = 60, 0.05
+    # Switching by chance, but turned round where d would drift away: then it stays of the size of its bound.
+    rates = rate * random.choice([-1.0, 1.0], pieces) * random.uniform(0.3, 1.0, pieces)
+    for k in range(1, pieces):
+        if order == 1 and abs(sum(rates[:k]) * piece) > 5.0:
+            rates[k] = -np.sign(sum(rates[:k])) * abs(rates[k])
+    found = errors_of(observer, FLEXIBLE, Played(rates, piece, order), H, round(pieces * piece / H))
+    # The estimate starts from the true state but without the derivatives of d, which the bound of the steady state
+    # does not speak of.
+    late = found[round(1.5 / H) :]
+    assert np.all(late[:, 0] <= bound.at_sample[0])
+    assert np.all(late[:, 1] <= bound.ahead[0])
+    assert np.all(late[:, 2:] <= bound.states + 1e-9)
+
+
+def test_without_a_disturbance_order_the_bound_uses_the_disturbance_itself_for_the_states():
+    observer = observer_for(FLEXIBLE, 0)
+    H, amplitude, pulsation = 5e-3, 5.0, 6.0
+    bound = certificate_of(observer, H)
+
+    class Sine:
+        breaks = ()
+
+        def __call__(self, t):
+            return amplitude * np.sin(pulsation * t)
+
+    found = errors_of(observer, FLEXIBLE, Sine(), H, round(WARM_UP / H))[round(1.5 / H) :]
+    assert np.all(found[:, 0] <= bound.at_sample[0])
+    assert np.all(found[:, 1] <= bound.ahead[0])
+    assert np.all(found[:, 2:] <= bound.states)
+    assert bound.at_sample[0] <= 2.0 * found[:, 0].max()
+
+
+def test_samples_with_errors_widen_the_bound_by_no_less_than_their_worst_case():
+    observer = observer_for(FLEXIBLE, 2)
+    design, known = observer.design(5e-3), observer.known
+    alone, with_errors = (
+        certify(
+            design,
+            disturbance_rate=known.disturbance_rate * 0.0,
+            disturbance_bound=known.disturbance_bound,
+            lipschitz=0.0,
+            f_states=(),
+            sample_error=error,
+        )
+        for error in (0.0, 1e-3)
+    )
+    assert alone.at_sample[0] == 0.0
+    # Independent: the worst samples are the signs of the impulse response, summed here by plain simulation.
+    F, C, K = design.error_dynamics, design.system.C, design.K
+    row, total = design.system.selector @ K, 0.0
+    step = F.copy()
+    total += np.sum(np.abs(row))
+    current = design.system.selector
+    for _ in range(4000):
+        current = current @ step
+        total += np.sum(np.abs(current @ K))
+    assert C.shape == (2, 6)
+    assert with_errors.at_sample[0] == pytest.approx(1e-3 * total, rel=1e-6)
+
+
+def test_where_f_can_undo_the_observer_there_is_no_bound():
+    observer = observer_for(FLEXIBLE, 2)
+    design, known = observer.design(1e-2), observer.known
+    bound = certify(
+        design,
+        disturbance_rate=known.disturbance_rate,
+        disturbance_bound=known.disturbance_bound,
+        lipschitz=1e5,
+        f_states=(0,),
+    )
+    assert not bound.exists
+    assert bound.loop_gain >= 1.0
+    assert np.all(np.isinf(bound.at_sample))
+    assert bound.to_dict()["disturbance_at_sample"] is None
+
+
+def test_theorem_3_gives_the_figures_of_its_derivation_and_is_looser_as_printed():
+    linear = FLEXIBLE.linear_part()
+    Q = paper_gains(linear, pi=1e12, alpha=1.0).riccati.Q
+    ours = theorem_3_bound(Q, pi=1e12, alpha=1.0, lipschitz=10.0, disturbance_bound=2.0)
+    beta = np.sqrt(np.linalg.norm(Q, 2) / 1e12)
+    printed = beta * 2.0 / (1.0 - beta * 10.0)
+    assert ours == pytest.approx(0.07, abs=0.01)
+    assert printed == pytest.approx(0.12, abs=0.02)
+    low = paper_gains(linear, pi=1e4, alpha=1.0).riccati.Q
+    assert theorem_3_bound(low, pi=1e4, alpha=1.0, lipschitz=10.0, disturbance_bound=2.0) == float("inf")

@@ -1,0 +1,114 @@
+"""What `design` tells about the sampled-data observer at a step: gains, predictions, bounds and warnings."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from ndob_fmu.analysis.design import design
+from ndob_fmu.analysis.sampled_data_design import SampledDataDesign
+from ndob_fmu.cli import main
+from ndob_fmu.errors import DesignError, UsageError
+from tests.helpers.problems import MODELS
+
+FLEXIBLE = MODELS["flexible_joint"]
+SINE = 2.0 * np.pi
+
+
+def test_without_a_step_there_is_the_papers_design_alone():
+    assert not isinstance(design(FLEXIBLE), SampledDataDesign)
+
+
+def test_the_prediction_is_what_noise_and_pace_allow_at_best():
+    # Found over all intensities for a sine of 1 Hz and amplitude 1 at 1 ms: bias and noise together.
+    for order, noise, best in ((2, 1e-4, 0.130), (3, 1e-4, 0.093), (2, 1e-6, 0.0165), (3, 1e-6, 0.0075)):
+        found = design(FLEXIBLE, step_size=1e-3, disturbance_order=order, noise_std=noise, disturbance_rate=SINE**order)
+        assert found.predicted_bias[0] + found.predicted_noise[0] <= 1.02 * best
+
+
+def test_the_filters_poles_are_stable_and_belong_to_the_printed_gain():
+    found = design(FLEXIBLE, step_size=1e-3, disturbance_order=3, noise_std=1e-5)
+    assert found.K.shape == (7, 2)
+    assert found.filter_poles.shape == (7,)
+    assert np.max(np.abs(found.filter_poles)) < 1.0
+    assert found.M_H is None
+
+
+def test_without_a_disturbance_order_the_read_out_of_the_error_goes_to_the_papers_as_the_step_shrinks():
+    errors = []
+    steps = (1e-5, 1e-6)
+    for step in steps:
+        found = design(FLEXIBLE, pi=1e12, alpha=1.0, step_size=step, disturbance_order=0)
+        errors.append(np.abs(found.K / step - found.L).max() / np.abs(found.L).max())
+        assert found.M_H.shape == (1, 2)
+    assert np.log(errors[0] / errors[1]) / np.log(steps[0] / steps[1]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_pi_sets_the_pace_where_it_is_given_and_is_reported_where_it_is_not():
+    tuned = design(FLEXIBLE, step_size=1e-3, disturbance_order=2, noise_std=1e-5)
+    again = design(FLEXIBLE, pi=tuned.equivalent_pi, step_size=1e-3, disturbance_order=2, noise_std=1e-5)
+    np.testing.assert_allclose(again.K, tuned.K, rtol=1e-6, atol=1e-6 * np.abs(tuned.K).max())
+    assert again.equivalent_pi == pytest.approx(tuned.equivalent_pi)
+    assert not np.allclose(design(FLEXIBLE, pi=1e9, step_size=1e-3, noise_std=1e-5).K, tuned.K)
+
+
+def test_a_step_too_coarse_for_the_bandwidth_asked_is_warned_of():
+    coarse = design(FLEXIBLE, pi=1e12, step_size=1e-2, disturbance_order=0)
+    assert any("too coarse" in text and "H ω₀ = 10" in text for text in coarse.warnings)
+    assert "warning: pi asks for a bandwidth" in str(coarse)
+    fine = design(FLEXIBLE, pi=1e8, step_size=1e-3, disturbance_order=0, noise_std=1e-6)
+    assert fine.warnings == ()
+
+
+def test_where_the_step_limits_and_not_the_noise_it_says_so():
+    limited = design(FLEXIBLE, step_size=1e-2, noise_std=0.0)
+    assert any("limits the accuracy, not the noise" in text for text in limited.warnings)
+
+
+def test_an_estimate_that_tells_nothing_is_warned_of():
+    hopeless = design(FLEXIBLE, step_size=1e-2, noise_std=3.0, disturbance_bound=0.01)
+    assert any("exceeds its bound" in text for text in hopeless.warnings)
+
+
+def test_several_disturbances_have_their_own_bounds_rates_and_predictions():
+    car = MODELS["car_in_crosswind"]
+    found = design(car, step_size=2e-3, disturbance_bound=[2.0, 1e-2], disturbance_rate=[20.0, 0.1])
+    assert found.predicted_bias.shape == found.error_bar.shape == found.certificate.at_sample.shape == (2,)
+    with pytest.raises(UsageError, match="one for each disturbance"):
+        design(car, step_size=2e-3, disturbance_rate=[1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"step_size": 0.0}, UsageError, "step size: expected a finite time > 0 s"),
+        ({"step_size": float("nan")}, UsageError, "step size"),
+        ({"step_size": 1e-3, "disturbance_order": 4}, DesignError, "disturbance_order: expected 0, 1, 2 or 3"),
+        ({"step_size": 1e-3, "noise_std": -1.0}, DesignError, "noise_std"),
+        ({"step_size": 1e-3, "disturbance_bound": 0.0}, DesignError, "disturbance_bound"),
+        ({"step_size": 1e-3, "disturbance_rate": float("inf")}, DesignError, "disturbance_rate"),
+    ],
+)
+def test_values_outside_their_range_end_in_one_line(arguments, error, message):
+    with pytest.raises(error, match=message) as caught:
+        design(FLEXIBLE, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_prints_json_with_the_names_of_the_contract(capsys):
+    assert main(["design", "flexible_joint", "--step-size", "1e-3", "--noise-std", "1e-5", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert {"L", "W", "M", "poles", "riccati_residual", "K", "M_H", "filter_poles"} <= data.keys()
+    assert np.shape(data["K"]) == (6, 2)
+    assert data["certificate"]["loop_gain"] < 1.0
+
+
+def test_the_command_takes_the_knowledge_of_the_disturbance(capsys):
+    command = ["design", "flexible_joint", "--step-size", "1e-3", "--disturbance-order", "1", "--json"]
+    rates = []
+    for rate in ("3", "30"):
+        assert main([*command, "--noise-std", "1e-4", "--disturbance-rate", rate, "--disturbance-bound", "2"]) == 0
+        rates.append(json.loads(capsys.readouterr().out)["sampled_bandwidth"])
+    assert rates[1] > rates[0]

@@ -1,0 +1,223 @@
+"""The generated steps do what the cores in NumPy define: to 1e-13 over random states, and with the same decisions."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from ndob_fmu.codegen.emit import emit_python
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
+from ndob_fmu.runtime.blocks.plant import Plant
+from ndob_fmu.runtime.step.channel import lumped
+from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.problems import MODELS, RANDOM, to_model
+
+WITHIN = 1e-13
+K, MASS = sympy.symbols("k mass")
+KINKS = Model(
+    # n, m, p, q1, q2 = 5, 2, 3, 2, 1; parameters in the matrices, and functions that are no polynomials.
+    name="Kinks",
+    states=["a", "b", "c", "v", "w"],
+    inputs=["push", "pull"],
+    outputs=["a", "c", "both"],
+    disturbances=["load"],
+    parameters={"k": 3.0, "mass": 2.0, "slip": 0.3},
+    A=[[0, 0, 0, 1, 0], [0, -K, 1, 0, 0], [0, 0, 0, 0, 1], [-K / MASS, 0, K / MASS, -1, 0], [K, 0, -K, 0, -2]],
+    B=[[0, 0], [0, 1], [0, 0], [1 / MASS, 0], [0, 2.5]],
+    C=[[1, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 1, K, 0, 0]],
+    G_d=[[0], [1 / MASS], [0], [0], [0]],
+    G_f=[[0, 0], [0, 0], [0, 0], [1, 0], [0, 1]],
+    f=lambda x, u, p: [
+        sympy.Piecewise((-p.k * x.a, x.a > p.slip), (0, True)) + sympy.tanh(x.v / p.slip) * u.push,
+        sympy.Max(-1, sympy.Min(1, x.w)) + sympy.sqrt(x.c**2 + p.slip) ** 3 / (1 + sympy.Abs(x.b)),
+    ],
+    lipschitz=20.0,
+)
+ALL = {**MODELS, "kinks": KINKS, **{problem.name: to_model(problem.linear) for problem in RANDOM[::2]}}
+SEEDS = st.integers(0, 2**32 - 1)
+NAMES = st.sampled_from(sorted(ALL))
+
+
+def side(name, x):
+    """Return on which side of the kinks x lies: where a step crosses one, rounding decides on the substeps."""
+    a, b, _, _, w = x if name == "kinks" else (0.0,) * 5
+    return a > KINKS.parameters["slip"], b > 0.0, w > 1.0, w > -1.0
+
+
+@functools.cache
+def observer_of(name, order, H):
+    """Return the observer, and its state at rest before a sample."""
+    model = ALL[name]
+    eq = lumped(model.equations)
+    observer = sampled_observer(
+        eq,
+        model.parameter_values(),
+        order=order,
+        noise_std=1e-4,
+        disturbance_bound=eq.disturbance_bound,
+        disturbance_rate=[bound * 6.0 ** max(order, 1) for bound in eq.disturbance_bound],
+        x_hat=eq.xhat0,
+        x_std=eq.xhat0_std,
+        alpha=0.2,
+        pi=1e8,
+    )
+    start = observer.init(eq.xhat0)
+    confidence = replace(start.confidence, at_rest=True, tuned_at=H, age=3 * len(observer.system.A))
+    start = replace(start, confidence=confidence)
+    as_expected = observer.system.C @ start.xi_hat[: len(observer.system.A)]
+    return observer, observer.step_by_definition(start, (0.0,) * len(eq.inputs), as_expected, H)[0]
+
+
+def at_random(observer, state, seed):
+    """Return a random state at rest, an input, and a sample of which nine tenths of what is usual may be unexpected."""
+    random = np.random.default_rng(seed)
+    bound = observer.known.disturbance_bound
+    x = np.array(observer.equations.xhat0) + random.normal(size=len(observer.x_std)) * observer.x_std
+    derivatives = [bound * random.normal(size=len(bound)) * 6.0**i for i in range(observer.system.order)]
+    xi = np.concatenate([x, *derivatives])
+    padding = (0.0,) * (len(state.xi_hat) - len(xi))
+    y = observer.system.C @ xi + 0.9 * usual(observer, state) * random.uniform(-1.0, 1.0, len(observer.system.C))
+    u = random.normal(size=len(observer.equations.inputs))
+    return replace(state, xi_hat=(*xi.tolist(), *padding)), u.tolist(), y.tolist()
+
+
+def usual(observer, state):
+    H = state.confidence.tuned_at
+    design = observer.design(H, H)
+    return observer._usual_deviation(design.rest.innovation_factor, design)
+
+
+def assert_close(mine, theirs, scale):
+    np.testing.assert_array_less(np.abs(np.subtract(mine, theirs)), WITHIN * (np.abs(theirs) + scale) + 1e-300)
+
+
+@given(name=NAMES, order=st.integers(0, 3), H=st.sampled_from([1e-3, 2e-2]), seed=SEEDS)
+def test_the_observers_step_is_the_definitions_over_random_states_and_samples(name, order, H, seed):
+    observer, state = observer_of(name, order, H)
+    state, u, y = at_random(observer, state, seed)
+    try:
+        by_definition, estimate_by_definition = observer.step_by_definition(state, u, y, H)
+    except IntegrationError:
+        assume(False)
+    assume(side(name, estimate_by_definition.x_at_sample) == side(name, estimate_by_definition.x_hat))
+    assert observer.step_at_rest(state, [*u, *y], H) is not None
+    after, estimate = observer.step(state, u, y, H)
+    # A residual is the difference of numbers of the size of the samples, and K multiplies its rounding.
+    design, n = observer.design(H, H), len(estimate.x_hat)
+    N = len(observer.system.A)
+    of_samples = np.abs(y) + np.abs(observer.system.C) @ np.abs(state.xi_hat[:N])
+    of_states = np.abs(design.rest.K) @ of_samples + np.max(np.abs(by_definition.xi_hat))
+    of_d = of_states[n : n + len(state.d_hat)] if design.M_H is None else np.abs(design.M_H) @ of_samples
+    assert_close(after.xi_hat[:N], by_definition.xi_hat[:N], of_states)
+    assert after.xi_hat[N:] == by_definition.xi_hat[N:]
+    assert_close(after.deviation, by_definition.deviation, of_samples)
+    assert_close(after.d_hat, by_definition.d_hat, of_d)
+    assert_close(estimate.residual, estimate_by_definition.residual, of_samples)
+    assert_close(estimate.x_hat, estimate_by_definition.x_hat, of_states[:n])
+    assert_close(estimate.x_at_sample, estimate_by_definition.x_at_sample, of_states[:n])
+    assert_close(estimate.d_hat, estimate_by_definition.d_hat, of_d)
+    assert_close(estimate.d_at_sample, estimate_by_definition.d_at_sample, of_d)
+    assert after.u == by_definition.u
+    for field in ("factor", "d_std", "at_rest", "tuned_at", "refused", "age"):
+        np.testing.assert_array_equal(getattr(after.confidence, field), getattr(by_definition.confidence, field))
+    assert estimate.d_std == estimate_by_definition.d_std
+    assert estimate.residual_std == estimate_by_definition.residual_std
+    assert estimate.valid
+    assert estimate_by_definition.valid
+
+
+@given(name=NAMES, H=st.sampled_from([1e-3, 2e-2, 0.3]), seed=SEEDS)
+def test_the_plants_step_is_the_definitions_over_random_states_and_generators(name, H, seed):
+    """The generators may jump within the step, and a long one takes several substeps."""
+    model, random = ALL[name], np.random.default_rng(seed)
+    eq = model.equations
+    generators = [
+        Generator(random.choice(list(KINDS.values())), *random.uniform([-3.0, 0.0, 0.0], [3.0, 5.0, 1.5 * H]))
+        for _ in eq.disturbances
+    ]
+    plant = Plant(eq, model.parameter_values(), generators)
+    state = plant.init(random.normal(size=len(eq.states)) * eq.xhat0_std, random.choice([0.0, 0.3 * H]))
+    u, d = random.normal(size=len(eq.inputs)).tolist(), random.normal(size=len(eq.disturbances)).tolist()
+    try:
+        expected = plant.step_by_definition(state, u, d, state.t + H, H)
+    except IntegrationError:
+        assume(False)
+    assume(side(name, state.x) == side(name, expected.x))
+    after = plant.step(state, u, d, state.t + H, H)
+    assert after.t == expected.t
+    # Rounding grows along unstable directions, and a Lipschitz constant of 20 lets it grow e^6 times in 0.3 s.
+    growth = np.exp(H * (20.0 + np.linalg.norm(eq.linear_part(model.parameter_values()).A, 2)))
+    assert_close(after.x, expected.x, growth * max(np.max(np.abs(expected.x)), np.max(np.abs(state.x))))
+
+
+@pytest.mark.parametrize("name", ["flexible_joint", "kinks"])
+@pytest.mark.parametrize("order", range(4))
+def test_a_sample_or_an_input_that_is_not_usual_is_left_to_the_definition(name, order):
+    observer, state = observer_of(name, order, 5e-3)
+    state, u, y = at_random(observer, state, 7)
+    expected = observer.system.C @ state.xi_hat[: len(observer.system.A)]
+    beyond = expected + 1.001 * usual(observer, state)
+    for inputs, sample in [
+        (u, [np.nan, *y[1:]]),
+        (u, [*y[:-1], -np.inf]),
+        (u, [beyond[0], *y[1:]]),
+        (u, [*y[:-1], 2.0 * expected[-1] - beyond[-1]]),
+        ([np.nan, *u[1:]], y),
+        ([*u[:-1], np.inf], y),
+    ]:
+        after, estimate = observer.step(state, inputs, sample, 5e-3)
+        by_definition, estimate_by_definition = observer.step_by_definition(state, inputs, sample, 5e-3)
+        assert after.xi_hat == by_definition.xi_hat
+        assert (after.u, after.deviation) == (by_definition.u, by_definition.deviation)
+        assert after.confidence.refused == by_definition.confidence.refused
+        assert estimate == estimate_by_definition
+
+
+def test_equations_that_cannot_be_evaluated_end_as_the_definition_does():
+    rooted = replace(KINKS, f=lambda x, u, p: [sympy.sqrt(x.a), x.w ** sympy.Rational(1, 3)], lipschitz=20.0)
+    plant = Plant(rooted.equations, rooted.parameter_values(), [Generator()])
+    for x in ([-1.0, 0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0, -1.0]):
+        with pytest.raises(IntegrationError, match="equations cannot be evaluated"):
+            plant.step(plant.init(x, 0.0), (0.0, 0.0), (0.0,), 1e-3)
+
+
+def chain(n):
+    """Return n carts in a row between springs, with numbers that differ; every fourth state is measured."""
+    A = sympy.zeros(2 * n)
+    for i in range(n):
+        A[i, n + i] = 1
+        A[n + i, i] = -2 - sympy.Rational(i, 7)
+        for neighbour in {i - 1, i + 1} & set(range(n)):
+            A[n + i, neighbour] = 1 + sympy.Rational(i, 5)
+    measured = range(0, n, 4)
+    return Model(
+        name="Carts",
+        states=[f"x{i}" for i in range(2 * n)],
+        inputs=[],
+        outputs=[f"x{i}" for i in measured],
+        disturbances=["load"],
+        A=A,
+        C=[[float(j == i) for j in range(2 * n)] for i in measured],
+        G_d=[[float(j == n)] for j in range(2 * n)],
+    )
+
+
+def operations(n):
+    """Return how many multiplications the plant's step has, and the observer's besides those by the dense gain."""
+    plant, observer = (
+        emit_python(chain(n)).split(f"def {part}_step")[1].split("\n\n")[0] for part in ("plant", "observer")
+    )
+    return plant.count("*"), observer.count("*") - observer.count("*_e")
+
+
+def test_the_work_of_a_step_grows_with_the_entries_of_the_model_that_are_not_zero():
+    for small, large in zip(operations(4), operations(12), strict=True):
+        assert large < 3.3 * small

@@ -1,0 +1,153 @@
+"""The documentation is built as it is published: every link leads somewhere, the notebook runs, the commands exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from ndob_fmu import cli
+from tests.helpers.clean_process import ENVIRONMENT
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build all pages; a warning, as of a link that leads nowhere or a cell that fails, is an error."""
+    out = tmp_path_factory.mktemp("site")
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "-n",
+        "-q",
+        "--keep-going",
+        "-d",
+        out / "doctrees",
+        DOCS,
+        out / "html",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return out / "html"
+
+
+class _Page(HTMLParser):
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.anchors = {"", "top"}
+        self.feed(path.read_text("utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.anchors |= {found[name] for name in ("id", "name") if found.get(name)}
+        self.links += [found[name] for name in ("href", "src") if found.get(name)]
+
+
+def test_every_page_is_built_and_every_link_within_leads_to_a_page_and_a_place_on_it(site):
+    pages = {path: _Page(path) for path in site.glob("*.html")}
+    assert {path.stem for path in PAGES} <= {path.stem for path in pages}
+    checked = 0
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or link.startswith("//"):
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            assert target.exists(), f"{path.name}: {link}"
+            if target in pages and target.name not in ("search.html", "genindex.html"):
+                assert unquote(parts.fragment) in pages[target].anchors, f"{path.name}: {link}"
+            checked += 1
+    assert checked > 200
+
+
+def test_the_notebook_was_executed_and_shows_its_figure_and_numbers(site):
+    html = (site / "main_job.html").read_text("utf-8")
+    worst = re.search(r"largest error after 0\.5 s: (\S+) N·m", html)
+    assert float(worst[1]) < 1e-4
+    assert len(re.findall(r'<img[^>]*src="_images/[0-9a-f]+\.png"', html)) == 1
+    assert "1.4162e+03" in html
+    assert len(re.findall(r"step +\d+ ms: largest error", html)) == 4
+
+
+def test_the_notebook_lies_in_the_repository_without_outputs():
+    assert '"output_type"' not in (DOCS / "main_job.ipynb").read_text("utf-8")
+
+
+def test_the_reference_of_the_fmus_is_that_of_the_built_ones(shipped):
+    sys.path.insert(0, str(DOCS))
+    try:
+        generator = import_module("fmu_reference")
+    finally:
+        sys.path.remove(str(DOCS))
+    page = generator.page(sorted(shipped.fmus.glob("*.fmu")))
+    assert page == generator.PAGE.read_text("utf-8"), "run `make docs`"
+
+
+COMMANDS = [
+    (path.name, line.replace("\\\n", " ").partition(" #")[0].strip())
+    for path in [*PAGES, ROOT / "README.md"]
+    for line in re.findall(r"^ {4}(ndob-fmu (?:.*\\\n)*.*)$", path.read_text("utf-8"), re.MULTILINE)
+]
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=[f"{page}-{k}" for k, (page, _) in enumerate(COMMANDS)])
+def test_every_command_in_the_documentation_is_one_that_the_program_takes(page, line):
+    assert callable(cli._parser().parse_args(shlex.split(line)[1:]).run)
+
+
+def test_the_documentation_shows_every_command_of_the_program():
+    assert {line.split()[1] for _, line in COMMANDS} == {
+        "check",
+        "design",
+        "build",
+        "simulate",
+        "sweep",
+        "report",
+        "demo",
+    }
+
+
+def test_the_tutorials_plant_and_coupling_run(tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "tutorial.md").read_text("utf-8"), re.DOTALL)
+    (tmp_path / "pendulum.py").write_text(blocks[0], "utf-8")
+    (tmp_path / "couple.py").write_text(blocks[1], "utf-8")
+    environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
+
+    def run(*words):
+        return subprocess.run(
+            [sys.executable, *words], cwd=tmp_path, env=environment, capture_output=True, encoding="utf-8", check=True
+        ).stdout
+
+    run("-m", "ndob_fmu", "check", "pendulum.py")
+    run("-m", "ndob_fmu", "build", "pendulum.py", "--out", "build/fmus")
+    estimate, true = map(float, run("couple.py").split())
+    assert estimate == pytest.approx(true, abs=0.02)
+
+
+def test_the_functions_in_the_table_of_equations_exist():
+    table = (DOCS / "theory.md").read_text("utf-8").split("\n## ")[0]
+    named = re.findall(r"`([a-z_/]+)\.py: (\w+)`", table)
+    assert len(named) >= 5
+    for module, function in named:
+        assert callable(getattr(import_module(f"ndob_fmu.{module.replace('/', '.')}"), function))
+
+
+def test_the_measures_and_entries_of_studies_are_all_documented():
+    from ndob_fmu.study.measures import TAKES
+    from ndob_fmu.study.read import _SECTIONS
+
+    page = (DOCS / "studies.md").read_text("utf-8")
+    assert [name for name in (*TAKES, *_SECTIONS) if not re.search(rf"`\[?{name}\]?`", page)] == []

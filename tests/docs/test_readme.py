@@ -1,0 +1,88 @@
+"""What the README shows must run, and must be what the Makefile does."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ndob_fmu.cli import main
+from ndob_fmu.cosim import open_ssp, simulate
+from ndob_fmu.cosim.system.picture import draw_system
+from tests.helpers.clean_process import ENVIRONMENT
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text("utf-8")
+PENDULUM = re.search(r"```python\n(.*?)```", README, re.DOTALL)[1]
+
+
+@pytest.fixture
+def pendulum(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "pendulum.py"
+    path.write_text(PENDULUM, "utf-8")
+    return path
+
+
+def test_the_plant_of_the_readme_runs_and_its_disturbance_is_found(pendulum):
+    environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
+    command = [sys.executable, "-W", "error", pendulum]
+    done = subprocess.run(command, env=environment, capture_output=True, encoding="utf-8", check=False)
+    inputs = "plant.motor_torque, plant.wind_torque, observer.motor_torque"
+    said = f"nothing drives the inputs {inputs}; they keep their own start values\n"
+    assert (done.returncode, done.stderr) == (0, said)
+    assert float(re.search(r"last second: (\S+) N·m", done.stdout)[1]) < 0.05
+    assert Path("build/fmus/PendulumObserver.fmu").is_file()
+
+
+@pytest.mark.parametrize("words", re.findall(r"ndob-fmu ((?:check|design|build) pendulum\.py[^#\n]*)", README))
+def test_the_commands_of_the_readme_accept_its_plant(pendulum, words, capsys):
+    assert main(words.split()) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_commands_for_windows_are_those_of_the_makefile():
+    recipes = re.findall(r"^\t\$\(BIN\)/(.*)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    assert len(recipes) >= 8
+    for_linux = [
+        recipe
+        for recipe in recipes
+        if recipe.startswith("python") and (" tests" in recipe or "native" in recipe) and "kernels" not in recipe
+    ]
+    assert len(for_linux) >= 5
+    recipes = [recipe for recipe in recipes if recipe not in for_linux]  # the front, and tools of Linux
+    for recipe in recipes:
+        assert f".venv\\Scripts\\{recipe.replace(' --quiet --disable-pip-version-check', '')}\n" in README
+
+
+def test_the_files_that_the_readme_links_are_there():
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert len(links) >= 6
+    assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def test_the_layout_names_what_exists():
+    layout = README.split("## Layout")[1].split("##")[0]
+    for name in re.findall(r"^ {4,6}((?:[a-z_]+/)*[a-z_]+(?:\.py|/))", layout, re.MULTILINE):
+        assert (ROOT / name).exists() or (ROOT / "ndob_fmu" / name).exists(), name
+
+
+def test_the_system_of_the_page_about_systems_is_written_and_runs(pendulum):
+    page = (ROOT / "docs" / "systems.md").read_text("utf-8")
+    assert main(["build", "pendulum.py", "--out", ".", "--components"]) == 0
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], {})
+    assert main(["check", "pendulum.ssp"]) == 0
+    recording = simulate("pendulum.ssp", stop_time=1.0)
+    error = (recording["observer.wind_torque_hat"] - recording["plant.wind_torque_total"])[500:]
+    assert abs(error).max() < 0.1 * np.ptp(recording["plant.wind_torque_total"])
+
+
+def test_the_picture_on_the_page_about_systems_is_that_of_the_system(shipped):
+    with open_ssp(shipped.systems / "disturbance_rejection.ssp") as (system, _):
+        assert (ROOT / "docs" / "disturbance_rejection.svg").read_bytes() == draw_system(
+            system, "disturbance_rejection"
+        )
