@@ -1,18 +1,23 @@
 """Ctrl-C, and for a command also SIGTERM and a closed terminal: they end a run once, and never its cleaning up.
 
 Within a block of `interruptible` the first signal raises Interrupted, and later ones are ignored: they cannot interrupt
-the cleaning up. A signal waits while a component steps and while a block of `held` runs.
+the cleaning up. A signal waits while a component steps and while a block of `held` runs. Python drops what is raised in
+`__del__` and in a callback of C: where Interrupted is dropped, nothing is printed, and the signal comes again.
 """
 
 from __future__ import annotations
 
+import _thread
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 _ENDING = ("SIGTERM", "SIGHUP", "SIGBREAK")  # as far as the system has them
+_AGAIN_AFTER = 0.01  # seconds, in which a `__del__` or a callback has ended
 
 
 class Interrupted(KeyboardInterrupt):
@@ -36,6 +41,7 @@ class _Watch:
         self.holding = 0
         self.pending: int | None = None
         self.raised = False
+        self._thread = threading.get_ident()
 
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Take a signal; a second one during a step is raised at once, since the step may never end."""
@@ -54,6 +60,21 @@ class _Watch:
         if self.pending is not None and not self.holding:
             self.raised = True
             raise Interrupted(self.pending)
+
+    def come_again(self, number: int) -> None:
+        """Let a signal come again soon, since what it raised was dropped; not if it was raised again meanwhile."""
+        self.raised = False
+        # Not a threading.Thread, which takes a lock that this thread may hold where it was interrupted.
+        _thread.start_new_thread(self._send, (number,))
+
+    def _send(self, number: int) -> None:
+        time.sleep(_AGAIN_AFTER)
+        if self.raised:
+            return
+        if hasattr(signal, "pthread_kill"):  # which also ends the main thread's waiting
+            signal.pthread_kill(self._thread, number)
+        else:
+            _thread.interrupt_main(signal.Signals(number))
 
 
 _watch: _Watch | None = None
@@ -83,11 +104,21 @@ def interruptible(*, terminate: bool = False) -> Iterator[None]:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         numbers.append(signal.SIGINT)
     watch = _watch = _Watch()
+    report = sys.unraisablehook
+
+    def notice(dropped: sys.UnraisableHookArgs) -> None:
+        if isinstance(dropped.exc_value, Interrupted):
+            watch.come_again(dropped.exc_value.number)
+        else:
+            report(dropped)
+
+    sys.unraisablehook = notice
     before = {number: signal.signal(number, watch.receive) for number in numbers}
     try:
         yield
     finally:
         _watch = None
+        sys.unraisablehook = report
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -87,6 +87,45 @@ def test_an_exception_that_a_callback_has_swallowed_comes_again_at_the_next_step
     assert steps == [0]
 
 
+class Callback:
+    """Python drops what is raised in its `__del__`."""
+
+    def __del__(self):
+        send(signal.SIGINT)
+        self.ended = True  # a call's signal is handled before the next instruction
+
+
+def test_a_signal_whose_exception_python_drops_comes_again_and_nothing_is_printed(monkeypatch):
+    """Also where the main thread waits, as for a worker."""
+    reported, lock = [], threading.Lock()
+    monkeypatch.setattr(sys, "unraisablehook", lambda dropped: reported.append(dropped.exc_value))
+    hook = sys.unraisablehook
+
+    def command():
+        with interruptible(), lock:
+            Callback()
+            lock.acquire(timeout=20)
+
+    with pytest.raises(Interrupted) as ended:
+        command()
+    assert ended.value.number == signal.SIGINT
+    assert reported == []
+    assert sys.unraisablehook is hook
+
+
+def test_what_python_drops_besides_is_reported_as_before(monkeypatch):
+    reported, error = [], RuntimeError("own")
+    monkeypatch.setattr(sys, "unraisablehook", lambda dropped: reported.append(dropped.exc_value))
+
+    class Failing:
+        def __del__(self):
+            raise error
+
+    with interruptible():
+        Failing()
+    assert reported == [error]
+
+
 def test_other_threads_and_handlers_of_the_program_are_left_alone():
     found = []
     thread = threading.Thread(target=lambda: found.append(use()))
