@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import lower_bounds
 import pytest
 
-from tests import versions
+from tests import lower_bounds, versions
 
 PROJECT = (Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8")
 
