@@ -128,8 +128,8 @@ def test_all_variables_of_one_type_travel_in_one_call(fmus, monkeypatch):
 
         return note_and_call
 
-    for module in ("fmu", "fmu_buffers"):
-        monkeypatch.setattr(f"ndob_fmu.cosim.{module}.fmi_call", noted)
+    for module in ("fmu_component", "buffers"):
+        monkeypatch.setattr(f"ndob_fmu.cosim.fmi.{module}.fmi_call", noted)
     simulate(
         fmus / "MassSpring.fmu",
         stop_time=2.0,

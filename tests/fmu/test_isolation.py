@@ -35,9 +35,9 @@ def other_code(tmp_path_factory):
     """The plant of the first model, its constant disturbance three times as large by other code of the same names."""
     folder = tmp_path_factory.mktemp("other_code")
     copy = shutil.copytree(bundling._RUNTIME, folder / "runtime")
-    text = (copy / "disturbance.py").read_text("utf-8")
+    text = (copy / "blocks" / "disturbance.py").read_text("utf-8")
     changed = text.replace("return self.amplitude\n", "return 3.0 * self.amplitude\n")
-    (copy / "disturbance.py").write_text(changed, "utf-8")
+    (copy / "blocks" / "disturbance.py").write_text(changed, "utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bundling, "_RUNTIME", copy)
         return build(MODELS["flexible_joint"], folder)[0]
@@ -230,7 +230,7 @@ def load(fmu, name, damage=None):
     return "loaded"
 
 plant, observer = sys.argv[2:]
-print(load(plant, "damaged", "resources/ndob_runtime_*/zeros.py"), load(plant, "plant"), load(observer, "observer"))
+print(load(plant, "damaged", "resources/ndob_runtime_*/numerics/zeros.py"), load(plant, "plant"), load(observer, "observer"))
 """
     done = run_clean(program, tmp_path, fmus[0], fmus[1], cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -1,0 +1,1 @@
+"""Recordings of runs, the files they are kept in, and their plots."""
