@@ -12,10 +12,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from ndob_fmu.runtime.arrays import Array
 
 from ndob_fmu.errors import UsageError
 from ndob_fmu.results.recordings import Recording, atomic_path
+from ndob_fmu.runtime.arrays import Array
 
 # How far a logarithmic axis reaches from the typical value, at most.
 _DECADES_BELOW, _DECADES_ABOVE = 4, 8

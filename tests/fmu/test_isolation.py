@@ -230,7 +230,8 @@ def load(fmu, name, damage=None):
     return "loaded"
 
 plant, observer = sys.argv[2:]
-print(load(plant, "damaged", "resources/ndob_runtime_*/numerics/zeros.py"), load(plant, "plant"), load(observer, "observer"))
+damaged = load(plant, "damaged", "resources/ndob_runtime_*/numerics/zeros.py")
+print(damaged, load(plant, "plant"), load(observer, "observer"))
 """
     done = run_clean(program, tmp_path, fmus[0], fmus[1], cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -228,7 +228,8 @@ def test_results_load_without_fmpy():
     import sys
 
     code = (
-        "import sys, ndob_fmu.results.recordings; print([m for m in ('fmpy', 'scipy', 'sympy', 'pythonfmu') if m in sys.modules])"
+        "import sys, ndob_fmu.results.recordings\n"
+        "print([m for m in ('fmpy', 'scipy', 'sympy', 'pythonfmu') if m in sys.modules])"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert loaded.stdout.strip() == "[]"
