@@ -459,6 +459,12 @@ def test_the_wheel_carries_slaves_systems_and_types(unpacked_wheel):
     assert not list(unpacked_wheel.rglob("*.fmu"))
 
 
+def test_the_wheel_carries_every_module(unpacked_wheel):
+    """A pattern of .gitignore that fits a folder of the package would keep it out."""
+    modules = {path.relative_to(ROOT) for path in (ROOT / "ndob_fmu").rglob("*.py")}
+    assert {path for path in modules if not (unpacked_wheel / path).is_file()} == set()
+
+
 def test_the_package_from_the_wheel_builds_the_same_fmus_and_system(unpacked_wheel, flexible_joint, tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "ndob_fmu", "build", "flexible_joint", "--out", "fmus", "--systems", "ssp"],
