@@ -14,7 +14,7 @@ import ndob_fmu
 from ndob_fmu.interface.model_variables import METHODS, Variable
 from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.blocks.disturbance_source import INTERPOLATIONS, SOURCE_KINDS
-from ndob_fmu.runtime.blocks.encoder import MISSING
+from ndob_fmu.runtime.blocks.sampled_measurement import MISSING
 from ndob_fmu.support.units import base_unit
 
 # What an importer can count on, beside what pythonfmu says. A tool that needs an execution tool would be a link to one

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ndob_fmu.interface.model_variables import Variable
 from ndob_fmu.runtime.blocks.controller import Feedback
 from ndob_fmu.runtime.blocks.disturbance_source import INTERPOLATIONS, SOURCE_KINDS
-from ndob_fmu.runtime.blocks.encoder import MISSING
+from ndob_fmu.runtime.blocks.sampled_measurement import MISSING
 from ndob_fmu.runtime.equations import Equations, Experiment
 
 DESCRIPTIONS = {

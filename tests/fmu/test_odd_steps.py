@@ -137,7 +137,12 @@ def test_a_step_of_rounding_size_advances_the_time_of_an_fmu_and_nothing_else(sh
 @pytest.mark.parametrize("every", [1, 4])
 def test_an_encoder_takes_each_sample_in_the_step_that_it_is_due_in(start, H, steps, every):
     """Times as k H rounds them, and as a master adds them up, for as long as that errs by less than H / 1000."""
-    encoder = Encoder(0, 0.0, 0.0, 0, every * H, 0.0, 0.0, between_samples_nan=True, dropped_nan=False)
+    encoder = Encoder(
+        **dict.fromkeys(("noise_std", "bias", "delay", "dropout_probability"), 0.0),
+        **{"seed": 0, "counts_per_revolution": 0, "sample_time": every * H},
+        between_samples_nan=True,
+        dropped_nan=False,
+    )
     for added in (False, True):
         state, t = encoder.init(0.0, start), start
         for k in range(1, steps + 1):

@@ -1,0 +1,48 @@
+"""Base of the slaves of sampling devices: one input, and as outputs its sample and whether that is a new one."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from fmus.slave_base import Slave
+from ndob_fmu.runtime.blocks.sampled_measurement import MISSING, SampledMeasurement, SampledState
+
+_PARAMETERS = ("noise_std", "bias", "seed", "sample_time", "delay", "dropout_probability")
+
+
+class SamplingSlave(Slave):
+    """Hands over the value that is set before a step as that at its end; a subclass makes the device."""
+
+    state_types = (SampledState,)
+    state: SampledState
+    measured: ClassVar[str]
+    """The name of the input."""
+
+    @abstractmethod
+    def make(self, parameters: Mapping[str, Any]) -> SampledMeasurement:
+        """Return the device; `parameters` are those that all sampling devices have, by name."""
+
+    def start(self, start_time: float) -> None:
+        """Make the device from the parameters."""
+        nan_shown = {
+            name: self.value(rule) == MISSING["not_a_number"]
+            for name, rule in (("between_samples_nan", "between_samples"), ("dropped_nan", "dropped_sample"))
+        }
+        self.device = self.make({**dict(zip(_PARAMETERS, self.values(_PARAMETERS), strict=True)), **nan_shown})
+        self.state = self.device.init(self.value(self.measured), start_time)
+
+    def possible(self, state: SampledState, begin: float, now: float) -> bool:
+        """Whether the device can be in such a state now."""
+        return state.start_time == begin and self.device.possible(state, now)
+
+    def show(self) -> Sequence[Any]:
+        """Return the first sample, of the value set so far."""
+        self.state = self.device.init(self.value(self.measured), self.state.start_time)
+        return [self.state.shown, self.state.new]
+
+    def advance(self, t: float, step_size: float) -> Sequence[Any]:
+        """Go to the end of the step."""
+        self.state = self.device.step(self.state, self.value(self.measured), t + step_size, step_size)
+        return [self.state.shown, self.state.new]
