@@ -13,6 +13,7 @@ import pytest
 from ndob_fmu.cli import main
 from ndob_fmu.cosim import open_ssp, simulate
 from ndob_fmu.cosim.system.picture import draw_system
+from ndob_fmu.demo import verdict
 from tests.helpers.clean_process import ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
@@ -65,10 +66,31 @@ def test_the_files_that_the_readme_links_are_there():
     assert [link for link in links if not (ROOT / link).exists()] == []
 
 
-def test_the_layout_names_what_exists():
-    layout = README.split("## Layout")[1].split("##")[0]
-    for name in re.findall(r"^ {4,6}((?:[a-z_]+/)*[a-z_]+(?:\.py|/))", layout, re.MULTILINE):
-        assert (ROOT / name).exists() or (ROOT / "ndob_fmu" / name).exists(), name
+def test_contributing_names_every_folder_and_only_files_that_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    layout = text.split("## Where what lives")[1].split("\n## ")[0]
+    folders = {path.parent for path in (ROOT / "ndob_fmu").glob("*/__init__.py")}
+    assert [folder.name for folder in folders if f"`ndob_fmu/{folder.name}/`" not in layout] == []
+    named = re.findall(r"`((?:ndob_fmu|fmus|ssp|tests|docs|benchmarks)/[\w/.]*)`", text)
+    assert len(named) >= 12
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_the_figures_of_the_example_in_the_readme_are_those_of_the_demo(shipped):
+    """The pace of the paper's estimate, its error later on, and the start of the sampled-data design."""
+    seconds, error, since, samples = re.search(
+        r"within 2 % of the unknown torque from ([\d.]+) s on.*?From (\d+) s on it stays within ([\d.]+) N·m.*?"
+        r"within 2 % after (\d+) samples",
+        README,
+        re.DOTALL,
+    ).group(1, 3, 2, 4)
+    shown = verdict(simulate(shipped.systems / "open_loop.ssp"))
+    assert shown.settling_time == pytest.approx(float(seconds), abs=0.05)
+    assert shown.error[shown.time >= float(since)].max() <= float(error)
+    sampled = simulate(
+        shipped.systems / "open_loop.ssp", stop_time=1.0, start_values={"observer.method": "sampled_data"}
+    )
+    assert round(verdict(sampled).settling_time / 1e-3) == int(samples)
 
 
 def test_the_system_of_the_page_about_systems_is_written_and_runs(pendulum):
