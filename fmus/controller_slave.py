@@ -11,7 +11,7 @@ import numpy as np
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
-from ndob_fmu.interface.component_variables import DESCRIPTIONS, controller_variables, gains
+from ndob_fmu.interface.component_variables import controller_variables, gains
 from ndob_fmu.runtime.blocks.controller import Controller, Feedback, Target
 from ndob_fmu.runtime.equations import Equations
 
@@ -32,9 +32,7 @@ class ControllerSlave(Slave):
 
     def __init__(self, equations: Equations, feedback: Feedback, **kwargs: Any) -> None:
         self.equations, self.feedback = equations, feedback
-        super().__init__(
-            controller_variables(equations, feedback), equations.experiment, DESCRIPTIONS["controller"], **kwargs
-        )
+        super().__init__(controller_variables(equations, feedback), **kwargs)
 
     def start(self, start_time: float) -> None:
         """Make the controller from the parameters."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.interface.component_variables import DESCRIPTIONS, EXPERIMENT, source_variables
+from ndob_fmu.interface.component_variables import source_variables
 from ndob_fmu.runtime.blocks.disturbance_source import Signal, disturbance_source
 from ndob_fmu.runtime.times import same_time
 
@@ -17,7 +17,7 @@ class DisturbanceSourceSlave(Slave):
     state: float
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(source_variables(), EXPERIMENT, DESCRIPTIONS["source"], **kwargs)
+        super().__init__(source_variables(), **kwargs)
 
     def start(self, start_time: float) -> None:
         """Make the signal from the parameters."""

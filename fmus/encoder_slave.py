@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fmus.slave_sampling import SamplingSlave
-from ndob_fmu.interface.component_variables import DESCRIPTIONS, EXPERIMENT, encoder_variables
+from ndob_fmu.interface.component_variables import encoder_variables
 from ndob_fmu.runtime.blocks.encoder import Encoder
 
 
@@ -16,7 +16,7 @@ class EncoderSlave(SamplingSlave):
     measured = "angle"
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(encoder_variables(), EXPERIMENT, DESCRIPTIONS["encoder"], **kwargs)
+        super().__init__(encoder_variables(), **kwargs)
 
     def make(self, parameters: Mapping[str, Any]) -> Encoder:
         """Make the encoder."""

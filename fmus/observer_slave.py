@@ -26,7 +26,7 @@ class ObserverSlave(Slave):
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
-        super().__init__(observer_variables(equations), equations.experiment, equations.description, **kwargs)
+        super().__init__(observer_variables(equations), **kwargs)
         self._inputs = self.stretch([*equations.inputs, *equations.outputs])
 
     def start(self, start_time: float) -> None:

@@ -33,7 +33,7 @@ class PlantSlave(Slave):
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
-        super().__init__(plant_variables(equations), equations.experiment, equations.description, **kwargs)
+        super().__init__(plant_variables(equations), **kwargs)
         self._inputs_at = self.stretch([*equations.inputs, *equations.disturbances])
 
     def start(self, start_time: float) -> None:

@@ -13,17 +13,7 @@ from math import nan, ulp
 from typing import Any, ClassVar
 
 import numpy as np
-from pythonfmu import (
-    Boolean,
-    DefaultExperiment,
-    Fmi2Causality,
-    Fmi2Initial,
-    Fmi2Slave,
-    Fmi2Variability,
-    Integer,
-    Real,
-    String,
-)
+from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_guards import (
@@ -41,9 +31,9 @@ from fmus.slave_state import Received, Snapshot, from_bytes, to_bytes
 from fmus.slave_state_faults import same_form, state_fault
 from ndob_fmu.interface.model_variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
-from ndob_fmu.runtime.equations import Experiment
 
-_TYPES = {"Real": Real, "Boolean": Boolean, "Integer": Integer, "Enumeration": Integer, "String": String}
+# FMI has no functions for Enumerations.
+_ACCESSED_AS = {"Enumeration": "Integer"}
 _NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
 
 
@@ -58,18 +48,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
     state_types: ClassVar[tuple[type, ...]] = ()
     state: Any = None
 
-    def __init__(self, variables: Sequence[Variable], experiment: Experiment, description: str, **kwargs: Any) -> None:
+    def __init__(self, variables: Sequence[Variable], **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self.default_experiment = DefaultExperiment(
-            start_time=0.0, stop_time=experiment.stop_time, step_size=experiment.step_size
-        )
-        self.description = description
         self._variables = variables = with_start_values(variables, self.resources)
         self._value_reference = {variable.name: index for index, variable in enumerate(variables)}
         self._values: list[Any] = [PYTHON_TYPES[v.type]() if v.start is None else v.start for v in variables]
         self._of_type = {
-            kind.__name__: frozenset(i for i, v in enumerate(variables) if _TYPES[v.type] is kind)
-            for kind in _TYPES.values()
+            kind: frozenset(i for i, v in enumerate(variables) if _ACCESSED_AS.get(v.type, v.type) == kind)
+            for kind in _NOTHING
         }
         self._input_references = frozenset(self._references("input"))
         self._shown = self.stretch([variable.name for variable in variables if variable.causality == "output"])
@@ -83,8 +69,6 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         self._stale = False
         self._start_time = self._time = self._step_size = 0.0
         self._stop_time: float | None = None
-        for index, variable in enumerate(variables):
-            self._register(index, variable)
 
     # -- for the subclass
 
@@ -288,21 +272,6 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
         # pythonfmu's binary passes the text on as a printf format, and does not survive one that has no UTF-8. It never
         # gives up the texts, so equal ones should be one.
         super().log(sys.intern(printable(msg)), status, sys.intern(f"logStatus{status.name.capitalize()}"))
-
-    def _register(self, index: int, variable: Variable) -> None:
-        output = variable.causality == "output"
-        exact = variable.causality == "parameter"
-        self.register_variable(
-            _TYPES[variable.type](
-                variable.name,
-                causality=Fmi2Causality[variable.causality],
-                variability=Fmi2Variability[variable.variability],
-                initial=Fmi2Initial.calculated if output else Fmi2Initial.exact if exact else None,
-                description=variable.description,
-                getter=lambda: self._values[index],
-            ),
-            nested=False,
-        )
 
     def _received_fault(self, snapshot: Snapshot) -> NdobError | None:
         """Make the core of a snapshot that came as bytes, or leave all as it is and return what is wrong with it."""

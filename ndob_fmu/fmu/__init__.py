@@ -1,4 +1,4 @@
-"""Package a model as FMUs: bundle what runs inside, build with pythonfmu, complete the model description, repack."""
+"""Package a model as FMUs: describe it, bundle the code that runs inside, compile the front, write the archive."""
 
 from ndob_fmu.fmu.build import build
 

@@ -16,7 +16,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 
+from ndob_fmu.fmu.fmu_description import FmuDescription
+from ndob_fmu.interface.model_variables import Variable
 from ndob_fmu.support.temporary import temporary_folder
 
 _log = logging.getLogger(__name__)
@@ -97,48 +98,40 @@ WINDOWS = Platform(
 _TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B", "String": "S"}
 
 
-def with_front(contents: Mapping[str, bytes], root: ET.Element) -> dict[str, bytes]:
-    """Return the FMU's files with fronts before pythonfmu's binaries; `root` is the finished model description.
+def with_front(contents: Mapping[str, bytes], fmu: FmuDescription, guid: str) -> dict[str, bytes]:
+    """Return the FMU's files with fronts before pythonfmu's binaries.
 
     The one for Linux is built on x86-64 Linux only. Where nothing compiles a front there is a warning.
     """
-    simulation = root.find("CoSimulation")
-    if simulation is None:
-        raise LookupError("pythonfmu wrote a model description without <CoSimulation>")
     here = (sys.platform, platform.machine()) == ("linux", "x86_64")
     result = dict(contents)
     for target in (LINUX, WINDOWS) if here else (WINDOWS,):
-        binary = f"binaries/{target.name}/{simulation.get('modelIdentifier')}{target.suffix}"
+        binary = f"binaries/{target.name}/{fmu.name}{target.suffix}"
         front = compiled(target) if binary in contents else None
         if front is not None:
             result |= {binary: front, target.slave_binary: contents[binary]}
-            result[DESCRIPTION] = description(root, contents).encode()
+            result[DESCRIPTION] = description(fmu, guid, contents).encode()
     return result
 
 
-def description(root: ET.Element, contents: Mapping[str, bytes]) -> str:
+def description(fmu: FmuDescription, guid: str, contents: Mapping[str, bytes]) -> str:
     """Return front.txt: what the front has to know of the FMU and its files, and the Python that it tries first."""
     files = [name.removeprefix("resources/") for name in contents if name.startswith("resources/")]
     lines = [
-        f"guid={root.get('guid')}",
+        f"guid={guid}",
         *(f"{name}={path}" for name, path in building_python().items()),
         f"entry={contents['resources/slavemodule.txt'].decode().strip()}",
         f"files={'|'.join(sorted(files))}",
     ]
-    by_reference = {int(element.get("valueReference", "")): element for element in root.iterfind("ModelVariables/*")}
-    if sorted(by_reference) != list(range(len(by_reference))):
-        raise LookupError("pythonfmu wrote value references that do not count from 0")
-    for _, element in sorted(by_reference.items()):
-        lines.append(f"variable={_TYPES[element[0].tag]}{_role(element)} {element.get('name')}")
-    lines.append(f"variables={len(by_reference)}")
+    lines += [f"variable={_TYPES[v.type]}{_role(v)} {v.name}" for v in fmu.variables]
+    lines.append(f"variables={len(fmu.variables)}")
     return "\n".join(lines) + "\n"
 
 
-def _role(element: ET.Element) -> str:
-    causality = element.get("causality")
-    if causality == "parameter":
-        return "t" if element.get("variability") == "tunable" else "f"
-    return "i" if causality == "input" else "o"
+def _role(variable: Variable) -> str:
+    if variable.causality == "parameter":
+        return "t" if variable.variability == "tunable" else "f"
+    return "i" if variable.causality == "input" else "o"
 
 
 def building_python() -> dict[str, str]:

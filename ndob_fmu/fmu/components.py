@@ -12,13 +12,15 @@ from scipy.linalg import solve_continuous_are
 
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.errors import DesignError, ModelError, UsageError, some_of
+from ndob_fmu.fmu.archive import package
 from ndob_fmu.fmu.archive_files import surroundings
-from ndob_fmu.fmu.build import package
 from ndob_fmu.fmu.bundle import bundle
+from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.icon import draw_block
 from ndob_fmu.fmu.manual import component_manual
 from ndob_fmu.interface.component_variables import (
     DESCRIPTIONS,
+    EXPERIMENT,
     controller_variables,
     encoder_variables,
     source_variables,
@@ -102,10 +104,11 @@ def build_controller(
     feedback = design_controller(model, regulated=regulated, pace=pace).feedback
     text = f"{emit_python(model)}\n\nfrom {Feedback.__module__} import Feedback\n\nFEEDBACK = {feedback!r}\n"
     name = f"{model.name}Controller"
+    variables = controller_variables(model.equations, feedback)
     return package(
         Path(out, f"{name}.fmu"),
+        FmuDescription(name, DESCRIPTIONS["controller"], variables, model.equations.experiment),
         bundle(name, "controller_slave", "ControllerSlave", text, ("EQUATIONS", "FEEDBACK")),
-        variables := controller_variables(model.equations, feedback),
         _extras(model.name, "controller", variables, ["$r$", r"$\hat{x}$", r"$\hat{d}$"], ["$u$"]),
     )
 
@@ -119,20 +122,20 @@ def build_components(out: str | Path = "build/fmus") -> tuple[Path, Path, Path]:
     return (
         package(
             Path(out, "DisturbanceSource.fmu"),
+            FmuDescription("DisturbanceSource", DESCRIPTIONS["source"], source, EXPERIMENT),
             bundle("DisturbanceSource", "disturbance_source_slave", "DisturbanceSourceSlave"),
-            source,
             _extras("Disturbance", "source", source, [], ["$d$"]),
         ),
         package(
             Path(out, "Encoder.fmu"),
+            FmuDescription("Encoder", DESCRIPTIONS["encoder"], encoder, EXPERIMENT),
             bundle("Encoder", "encoder_slave", "EncoderSlave"),
-            encoder,
             _extras("Encoder", "", encoder, [r"$\varphi$"], [r"$\varphi_m$"]),
         ),
         package(
             Path(out, "TorsionSpring.fmu"),
+            FmuDescription("TorsionSpring", DESCRIPTIONS["spring"], spring, EXPERIMENT),
             bundle("TorsionSpring", "torsion_spring_slave", "TorsionSpringSlave"),
-            spring,
             _extras("Torsion", "spring", spring, [r"$\varphi_a$", r"$\varphi_b$"], [r"$\tau_a$", r"$\tau_b$"]),
         ),
     )

@@ -1,4 +1,4 @@
-"""The variables of the two FMUs, declared once: the slaves register them, the model description completes them."""
+"""The variables of the two FMUs, declared once: the slaves hold their values, the model description lists them."""
 
 from __future__ import annotations
 

@@ -16,7 +16,12 @@ from fmu_manipulation_toolbox.operations import FMU
 
 import ndob_fmu
 from ndob_fmu import Model, build
+from ndob_fmu.fmu.fmi2_xml import model_description
+from ndob_fmu.fmu.fmu_description import FmuDescription
+from ndob_fmu.interface.model_variables import METHODS, Variable
+from ndob_fmu.runtime.equations import Experiment
 from tests.helpers.clean_process import fmpy as fmpy_command
+from tests.helpers.fmi_instance import OK, opened
 from tests.helpers.problems import MODELS
 
 # Several disturbances, no unit at all, names with underscores, and names that types have elsewhere.
@@ -111,6 +116,128 @@ def test_the_checks_do_find_what_is_wrong(fmus, tmp_path):
     assert any("start value is required" in finding for finding in toolbox_findings(no_start))
     unknown = altered(plant, tmp_path, b'causality="input"', b'causality="inlet"')
     assert any("inlet" in finding for finding in toolbox_findings(unknown))
+
+
+# One variable of each type, with all that FMI 2.0 lets a description say of one.
+SMALL = FmuDescription(
+    name="Small",
+    text="An FMU <of> nothing",
+    variables=(
+        Variable("angle", "input", "Angle", start=0.5, unit="rad"),
+        Variable("torque", "output", "Torque", unit="N.m", depends_on=("angle",), nominal=5.0, minimum=0.0),
+        Variable("valid", "output", "Flag", type="Boolean"),
+        Variable("gain", "parameter", "Gain", start=0.1 + 0.2, minimum=0, maximum=1e300),
+        Variable("method", "parameter", "Method", "Enumeration", 2, items=METHODS),
+        Variable("seed", "parameter", "Seed", "Integer", 7, minimum=0),
+        Variable("on", "parameter", "Switch", "Boolean", True),
+        Variable("file", "parameter", "Path", "String", "a&b"),
+    ),
+    experiment=Experiment(stop_time=2, step_size=0.25),
+)
+SMALL_TEXT = """\
+<fmiModelDescription fmiVersion="2.0" modelName="Small" guid="" generationTool="TOOL" \
+variableNamingConvention="structured" description="An FMU &lt;of&gt; nothing">
+  <CoSimulation CAPABILITIES />
+  <UnitDefinitions>
+    <Unit name="N.m">
+      <BaseUnit kg="1" m="2" s="-2" />
+    </Unit>
+    <Unit name="rad">
+      <BaseUnit rad="1" />
+    </Unit>
+  </UnitDefinitions>
+  <TypeDefinitions>
+    <SimpleType name="Method">
+      <Enumeration>
+        <Item name="paper" value="1" \
+description="the paper's observer, eqs. (22) to (24), integrated inside the step" />
+        <Item name="sampled_data" value="2" description="the sampled-data design, exact at the communication points" />
+      </Enumeration>
+    </SimpleType>
+    <SimpleType name="Torque">
+      <Real quantity="Torque" unit="N.m" />
+    </SimpleType>
+    <SimpleType name="Angle">
+      <Real quantity="Angle" unit="rad" />
+    </SimpleType>
+  </TypeDefinitions>
+  <LogCategories>
+    <Category name="logStatusWarning" description="Log messages with fmi2Warning status." />
+    <Category name="logStatusDiscard" description="Log messages with fmi2Discard status." />
+    <Category name="logStatusError" description="Log messages with fmi2Error status." />
+    <Category name="logStatusFatal" description="Log messages with fmi2Fatal status." />
+    <Category name="logAll" description="Log all messages." />
+  </LogCategories>
+  <DefaultExperiment startTime="0.0" stopTime="2.0" stepSize="0.25" />
+  <ModelVariables>
+    <ScalarVariable name="angle" valueReference="0" description="Angle" causality="input" variability="continuous">
+      <Real start="0.5" declaredType="Angle" unit="rad" />
+    </ScalarVariable>
+    <ScalarVariable name="torque" valueReference="1" description="Torque" causality="output" variability="continuous" \
+initial="calculated">
+      <Real declaredType="Torque" unit="N.m" min="0.0" nominal="5.0" />
+    </ScalarVariable>
+    <ScalarVariable name="valid" valueReference="2" description="Flag" causality="output" variability="discrete" \
+initial="calculated">
+      <Boolean />
+    </ScalarVariable>
+    <ScalarVariable name="gain" valueReference="3" description="Gain" causality="parameter" variability="fixed" \
+initial="exact">
+      <Real start="0.30000000000000004" min="0.0" max="1e+300" />
+    </ScalarVariable>
+    <ScalarVariable name="method" valueReference="4" description="Method" causality="parameter" variability="fixed" \
+initial="exact">
+      <Enumeration start="2" declaredType="Method" />
+    </ScalarVariable>
+    <ScalarVariable name="seed" valueReference="5" description="Seed" causality="parameter" variability="fixed" \
+initial="exact">
+      <Integer start="7" min="0" />
+    </ScalarVariable>
+    <ScalarVariable name="on" valueReference="6" description="Switch" causality="parameter" variability="fixed" \
+initial="exact">
+      <Boolean start="true" />
+    </ScalarVariable>
+    <ScalarVariable name="file" valueReference="7" description="Path" causality="parameter" variability="fixed" \
+initial="exact">
+      <String start="a&amp;b" />
+    </ScalarVariable>
+  </ModelVariables>
+  <ModelStructure>
+    <Outputs>
+      <Unknown index="2" dependencies="" />
+      <Unknown index="3" dependencies="" />
+    </Outputs>
+    <InitialUnknowns>
+      <Unknown index="2" dependencies="1 4 5 6 7 8" />
+      <Unknown index="3" dependencies="4 5 6 7 8" />
+    </InitialUnknowns>
+  </ModelStructure>
+</fmiModelDescription>"""
+
+
+def test_the_whole_description_follows_from_the_list_of_variables():
+    text = ElementTree.tostring(model_description(SMALL), encoding="unicode")
+    text = re.sub(r'generationTool="[^"]*"', 'generationTool="TOOL"', text)
+    assert re.sub(r"<CoSimulation [^>]* />", "<CoSimulation CAPABILITIES />", text) == SMALL_TEXT
+
+
+def test_an_fmu_has_the_values_that_its_description_gives_before_anything_is_set(shipped):
+    """The description is written from the same list of variables as the values in the slave, by other code."""
+    checked = 0
+    for path in sorted(shipped.fmus.glob("*.fmu")):
+        with opened(path) as instance:
+            for variable in instance.variables.values():
+                if variable.start is None:
+                    continue
+                kind = {"Enumeration": "Integer"}.get(variable.type, variable.type)
+                (value,) = getattr(instance.fmu, f"get{kind}")([variable.valueReference])
+                value = value.decode() if isinstance(value, bytes) else value
+                given = {"Real": float, "Integer": int, "Boolean": lambda text: int(text == "true"), "String": str}
+                assert value == given[kind](variable.start), (path.name, variable.name)
+                checked += 1
+            assert not instance.said
+            assert instance.setupExperiment(startTime=0.0) == OK
+    assert checked > 60
 
 
 def test_every_type_is_declared_once_used_and_named_like_no_variable(fmus):

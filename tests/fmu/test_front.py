@@ -17,6 +17,8 @@ import pytest
 
 from ndob_fmu import build, load_model
 from ndob_fmu.fmu import compile_front as front
+from ndob_fmu.fmu.fmu_description import FmuDescription
+from ndob_fmu.runtime.equations import Experiment
 from tests.helpers.clean_process import ENVIRONMENT, run_clean
 from tests.helpers.native_host import unpack
 from tests.helpers.needs import FRONT
@@ -184,6 +186,5 @@ def test_without_a_working_compiler_the_fmus_are_pythonfmus_and_one_line_says_wh
 def test_where_the_front_is_not_for_the_fmu_is_as_pythonfmu_makes_it(monkeypatch, caplog):
     monkeypatch.setattr("platform.machine", lambda: "aarch64")
     contents = {"modelDescription.xml": b"", "binaries/linux64/X.so": b"stock"}
-    root = front.ET.fromstring('<fmiModelDescription><CoSimulation modelIdentifier="X"/></fmiModelDescription>')
-    assert front.with_front(contents, root) == contents
+    assert front.with_front(contents, FmuDescription("X", "", (), Experiment()), "{}") == contents
     assert caplog.text == ""
