@@ -15,7 +15,7 @@ from PIL import Image
 
 from benchmarks.accuracy_cells import AFTER_STEP, D0, PAPER_RAMP, STEADY_FROM, Plan, Score, Scores, Signal, fitting_pi
 from benchmarks.accuracy_must_show import Row, as_text
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 
 SAME = 0.01  # two errors that differ by less count as equal
 ROUNDING = 5e-8  # errors below it are rounding errors of the samples, on a disturbance of size one

@@ -14,7 +14,7 @@ import numpy as np
 from ndob_fmu import build, load_model, simulate
 from ndob_fmu.cosim import build_ssp
 from ndob_fmu.fmu.components import build_components, build_controller
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.shipped import shipped_folder
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "systems.md"

@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ndob_fmu.results.recordings import Recording, read_csv, write_csv
+from ndob_fmu.results.csv_files import read_csv, write_csv
+from ndob_fmu.results.recording import Recording
 
 SIGNALS = ("plant.motor_angle", "plant.link_angle")
 _LARGE = (200_000, 100)  # rows, signals

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks.figures import Section
 from benchmarks.performance_page import text
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 
 HERE = Path(__file__).parent
 

@@ -26,11 +26,13 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ndob_fmu import load_model
-from ndob_fmu.results.recordings import Recording, atomic_path, write_csv
+from ndob_fmu.results.csv_files import write_csv
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from ndob_fmu.support.files import atomic_path
 
 STOP_TIME = 20.0
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ndob_fmu import __version__
-from ndob_fmu.errors import NdobError, SimulationError, UsageError
+from ndob_fmu.errors import NdobError, UsageError
 from ndob_fmu.support.extras import extra
 from ndob_fmu.support.interrupts import exit_code, interruptible, received
 from ndob_fmu.support.progress import PATIENCE, begin, shown_after
@@ -164,7 +164,8 @@ def _build_demo() -> Path:
 def _simulate(options: argparse.Namespace) -> int:
     from ndob_fmu.cosim import simulate
     from ndob_fmu.cosim.run_folder import simulate_into
-    from ndob_fmu.results.recordings import write_csv
+    from ndob_fmu.results.csv_files import write_csv
+    from ndob_fmu.results.recording import FailedRunError
 
     if options.demo == (options.system is not None):
         raise UsageError.report(
@@ -183,13 +184,13 @@ def _simulate(options: argparse.Namespace) -> int:
         "order": options.order,
     }
     system = _build_demo() if options.demo else options.system
-    failure: SimulationError | None = None
+    failure: FailedRunError | None = None
     try:
         if options.results is None:
             recording = simulate(system, **settings)
         else:
             recording = simulate_into(options.results, system, **settings)
-    except SimulationError as error:
+    except FailedRunError as error:
         if error.recording is None:
             raise
         recording, failure = error.recording, error

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from ndob_fmu.cosim import simulate
 from ndob_fmu.cosim.run_folder import describe, draw
 from ndob_fmu.results import plots
-from ndob_fmu.results.recordings import Recording, atomic_folder
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import write_run
+from ndob_fmu.support.files import atomic_folder
 
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")
 DISTURBANCE = "load_torque"

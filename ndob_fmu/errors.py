@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 from ndob_fmu.runtime.base_errors import MESSAGE_LIMIT, AssumptionError, DesignError, NdobError, shortened
-
-if TYPE_CHECKING:
-    from ndob_fmu.results.recordings import Recording
 
 _LISTED = 100  # characters: longer lists are shortened to a few names and a count
 _NEAREST = 3
@@ -28,10 +24,9 @@ class CouplingError(NdobError):
 
 
 class SimulationError(NdobError):
-    """A component failed while the coupled system ran; ``recording`` is what had been recorded by then, if anything."""
+    """A component failed while the coupled system ran."""
 
     exit_code = 1
-    recording: Recording | None = None
 
 
 def one_of(kind: str, names: Iterable[str], received: object = None) -> str:

@@ -18,7 +18,7 @@ from ndob_fmu.cosim import System
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.experiment import Experiment
 from ndob_fmu.cosim.ssp.write import describe
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 from ssp.boundary import with_boundary
 from ssp.nested import two_joints_full
 

@@ -6,7 +6,7 @@ from ndob_fmu.cosim.run import open_system, simulate
 from ndob_fmu.cosim.ssp import build_ssp, check_ssp, open_ssp, parameter_sets
 from ndob_fmu.cosim.system.loops import Loop, algebraic_loops
 from ndob_fmu.cosim.system.system import Connection, Port, System
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 
 __all__ = [
     "Component",

@@ -21,8 +21,8 @@ from ndob_fmu.cosim.system.inputs import NO_INPUTS, read_inputs
 from ndob_fmu.cosim.system.loops import algebraic_loops
 from ndob_fmu.cosim.system.system import Port, System
 from ndob_fmu.cosim.system.wiring import Wiring, keep_start_values, wire
-from ndob_fmu.errors import SimulationError, UsageError, shortened
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.errors import UsageError, shortened
+from ndob_fmu.results.recording import FailedRunError, Recording
 from ndob_fmu.support.interrupts import interruptible
 
 _log = logging.getLogger(__name__)
@@ -65,8 +65,8 @@ def simulate(
     ``Recording.ended_early`` says why, and a warning is logged.
 
     Raises UsageError for a value or file that cannot be used, CouplingError for a system that cannot be wired,
-    SimulationError for a component that fails; its ``recording`` has the rows before the failure, None where there are
-    none. No component and no temporary file outlives the call.
+    FailedRunError, a SimulationError, for a component that fails; its ``recording`` has the rows before the failure.
+    No component and no temporary file outlives the call.
     """
     with interruptible(), open_system(system, step_size) as (opened, experiment):
         clock = Clock.over(
@@ -85,7 +85,7 @@ def simulate(
         warn(wiring)
         try:
             found = master.run(wiring, clock, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
-        except SimulationError as error:
+        except FailedRunError as error:
             error.recording = error.recording and _with_outputs(opened, error.recording)
             raise
         for text in (found.ended_early, _nan(found)):

@@ -15,10 +15,11 @@ from ndob_fmu.cosim.system.inputs import read_inputs
 from ndob_fmu.cosim.system.picture import write_picture
 from ndob_fmu.cosim.system.system import Port
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.errors import SimulationError
 from ndob_fmu.results import plots
-from ndob_fmu.results.recordings import SYSTEM_PICTURE, atomic_folder, software_versions
-from ndob_fmu.results.run_files import write_run
+from ndob_fmu.results.recording import FailedRunError
+from ndob_fmu.results.run_files import SYSTEM_PICTURE, write_run
+from ndob_fmu.results.versions import software_versions
+from ndob_fmu.support.files import atomic_folder
 
 
 def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recording:
@@ -28,10 +29,10 @@ def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recordin
     recorded before a failure, and UsageError if a file cannot be written.
     """
     began = time.perf_counter()
-    failure: SimulationError | None = None
+    failure: FailedRunError | None = None
     try:
         recording = simulate(system, **settings)
-    except SimulationError as error:
+    except FailedRunError as error:
         if error.recording is None:
             raise
         recording, failure = error.recording, error

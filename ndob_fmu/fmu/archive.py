@@ -15,7 +15,7 @@ from ndob_fmu.fmu.bundle import Bundle
 from ndob_fmu.fmu.compile_front import with_front
 from ndob_fmu.fmu.fmi2_xml import model_description
 from ndob_fmu.fmu.fmu_description import FmuDescription
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.progress import begin
 
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)

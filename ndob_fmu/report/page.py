@@ -13,8 +13,9 @@ from plotly.offline import get_plotlyjs
 from ndob_fmu.errors import UsageError
 from ndob_fmu.report.content import Content
 from ndob_fmu.report.run import run_content
-from ndob_fmu.results.recordings import SYSTEM_PICTURE, atomic_path
+from ndob_fmu.results.run_files import SYSTEM_PICTURE
 from ndob_fmu.support.extras import extra
+from ndob_fmu.support.files import atomic_path
 
 _CONFIGURATION = {
     "displaylogo": False,

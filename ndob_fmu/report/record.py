@@ -9,7 +9,7 @@ from typing import Any
 
 from ndob_fmu.report.content import pretty
 from ndob_fmu.report.signals import estimates
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import read_run
 from ndob_fmu.runtime.arrays import Array
 

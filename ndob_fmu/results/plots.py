@@ -14,8 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results.recordings import Recording, atomic_path
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.support.files import atomic_path
 
 # How far a logarithmic axis reaches from the typical value, at most.
 _DECADES_BELOW, _DECADES_ABOVE = 4, 8

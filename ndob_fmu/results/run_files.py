@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results.recordings import Recording, read_csv, read_sealed_json, write_csv, write_sealed_json
+from ndob_fmu.results.csv_files import read_csv, write_csv
+from ndob_fmu.results.json_files import read_sealed_json, write_sealed_json
+from ndob_fmu.results.recording import Recording
 
 RESULT = "result.csv"
+SYSTEM_PICTURE = "system.svg"  # of the system that was simulated, beside the other files
 _INPUTS = "inputs.csv"
 _SUMMARY = "summary.json"
 _DIGEST, _INPUTS_DIGEST = "result_sha256", "inputs_sha256"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array
 
 _TAKE: dict[str, Callable[[Array], float]] = {

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ndob_fmu.errors import UsageError, some_of
-from ndob_fmu.results.recordings import read_sealed_json
+from ndob_fmu.results.json_files import read_sealed_json
 
 PLAN = "study.json"
 _TYPES = {

@@ -11,7 +11,7 @@ from typing import Any
 
 from ndob_fmu.cosim import FmuComponent, System, open_system, simulate
 from ndob_fmu.errors import NdobError
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import STEP_SIZE, Study
 

@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ndob_fmu.errors import NdobError, UsageError
-from ndob_fmu.results.recordings import atomic_path
 from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
+from ndob_fmu.support.files import atomic_path
 
 SHARDS = "shards"
 _DIGITS = 16

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from ndob_fmu.cosim import open_system
 from ndob_fmu.cosim.system.picture import write_picture
 from ndob_fmu.errors import NdobError, UsageError, some_of
-from ndob_fmu.results.recordings import SYSTEM_PICTURE, plain, write_sealed_json
+from ndob_fmu.results.json_files import json_value, write_sealed_json
+from ndob_fmu.results.run_files import SYSTEM_PICTURE
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
 from ndob_fmu.study.description import Study
 from ndob_fmu.study.plan import PLAN, read_plan
@@ -179,7 +180,7 @@ def _planned(folder: Path, study: Study) -> bool | None:
         return None
     if found["digest"] == study.digest:
         return True
-    now = plain(study.to_dict())
+    now = json_value(study.to_dict())
     changed = [key for key in now if key != "name" and found.get(key) != now[key]]
     raise _another(
         folder, "those of a study that differs in " + (some_of(changed) if changed else "its values or its FMUs")

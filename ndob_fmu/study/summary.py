@@ -11,11 +11,13 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from ndob_fmu.results.recordings import atomic_path, software_versions, write_sealed_json
+from ndob_fmu.results.json_files import write_sealed_json
+from ndob_fmu.results.versions import software_versions
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, WALL_TIME
 from ndob_fmu.study.plan import read_plan
 from ndob_fmu.study.store import column, read_runs
 from ndob_fmu.study.sweep import Tally
+from ndob_fmu.support.files import atomic_path
 
 _MOST_REASONS = 5
 

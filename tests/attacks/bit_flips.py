@@ -20,7 +20,7 @@ from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu.errors import NdobError
 from ndob_fmu.report import write_report
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import read_run, write_run
 from ndob_fmu.study import Study, read_study
 from ndob_fmu.study.plan import read_plan

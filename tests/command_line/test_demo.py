@@ -13,7 +13,7 @@ from fmpy.util import read_csv
 
 from ndob_fmu.cli import main
 from ndob_fmu.demo import run_demo, verdict
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 
 PUBLISHED = ["fig1_disturbance.svg", "fig2_state_error.svg", "fig3_peaking.svg", "fig4_start_up.svg"]
 DATA = ["result.csv", "summary.json", "system.svg"]

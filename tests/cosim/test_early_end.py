@@ -11,7 +11,7 @@ from ndob_fmu.cli import main
 from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.cosim.component import Ended
 from ndob_fmu.errors import SimulationError
-from ndob_fmu.results.recordings import read_csv
+from ndob_fmu.results.csv_files import read_csv
 from tests.helpers.coupling_fmus import coupling_fmus
 from tests.helpers.mock_components import Mock, constant, integrator, ramp
 from tests.helpers.needs import C_COMPILER

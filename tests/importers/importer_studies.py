@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ndob_fmu.cosim import FmuComponent, Port, System, open_ssp, simulate
-from ndob_fmu.results.recordings import Recording, write_csv
+from ndob_fmu.results.csv_files import write_csv
+from ndob_fmu.results.recording import Recording
 from tests.importers.importers import Rows, Study
 
 PLANT = ("link_angle", "motor_angle", "link_rate", "motor_rate", "load_torque_total")

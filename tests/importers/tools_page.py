@@ -16,7 +16,7 @@ from fmpy.validation import validate_fmu
 
 from ndob_fmu import build, load_model
 from ndob_fmu.cosim import build_ssp
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.shipped import shipped_folder
 from tests.fmu.test_description import toolbox_findings
 from tests.helpers.native_host import compile_host

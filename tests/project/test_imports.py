@@ -77,7 +77,7 @@ ALLOWED = {
     "model": (*LEAVES, "runtime", "interface", "codegen"),
     "codegen": (*LEAVES, "runtime", "model"),
     "analysis": (*LEAVES, "runtime", "model"),
-    "fmu": (*LEAVES, "runtime", "interface", "model", "codegen", "analysis", "results"),
+    "fmu": (*LEAVES, "runtime", "interface", "model", "codegen", "analysis"),
     "results": LEAVES,
     "cosim": (*LEAVES, "runtime.base_errors", "results"),
     "study": (*LEAVES, "results", "cosim"),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import ndob_fmu
 from ndob_fmu.cosim import System, Variable, simulate
 from ndob_fmu.errors import MESSAGE_LIMIT, NdobError, SimulationError, UsageError, nearest, one_of, some_of
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.base_errors import IntegrationError
 from tests.helpers.mock_components import Mock
 

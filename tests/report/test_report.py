@@ -16,8 +16,9 @@ from ndob_fmu.report import write_report
 from ndob_fmu.report.observers import disturbance_figures, input_figures, output_figures
 from ndob_fmu.report.record import Record, read_record
 from ndob_fmu.report.signals import estimates, spans, thinned, usual_range
+from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.results.plots import decades
-from ndob_fmu.results.recordings import Recording, read_csv
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.study.figures import Axis, cell_medians, pairs_of, point_medians
 from tests.helpers.browser import browser, requests, screenshot
 

@@ -15,15 +15,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results.recordings import (
-    Recording,
-    atomic_path,
-    read_csv,
-    read_sealed_json,
-    write_csv,
-    write_json,
-    write_sealed_json,
-)
+from ndob_fmu.results.csv_files import read_csv, write_csv
+from ndob_fmu.results.json_files import read_sealed_json, write_json, write_sealed_json
+from ndob_fmu.results.recording import Recording
+from ndob_fmu.support.files import atomic_path
 
 
 def recording():
@@ -228,7 +223,7 @@ def test_results_load_without_fmpy():
     import sys
 
     code = (
-        "import sys, ndob_fmu.results.recordings\n"
+        "import sys, ndob_fmu.results.csv_files; "
         "print([m for m in ('fmpy', 'scipy', 'sympy', 'pythonfmu') if m in sys.modules])"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

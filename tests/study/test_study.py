@@ -11,7 +11,7 @@ import pytest
 
 from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.errors import CouplingError, UsageError
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.study import read_study
 from ndob_fmu.study.measures import TAKES, Measure
 from ndob_fmu.study.points import Points, Range, grid, latin_hypercube, listed, random

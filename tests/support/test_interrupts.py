@@ -14,8 +14,8 @@ from contextlib import suppress
 import pytest
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results.recordings import atomic_folder
 from ndob_fmu.support import temporary
+from ndob_fmu.support.files import atomic_folder
 from ndob_fmu.support.interrupts import Interrupted, deferred_interrupt, exit_code, held, interruptible
 from ndob_fmu.support.temporary import make_folder, remove_folder, remove_folders, temporary_folder
 

@@ -16,7 +16,7 @@ from ndob_fmu.cosim.master.rows import Rows
 from ndob_fmu.cosim.master.schemes import SCHEMES, Ending, earliest
 from ndob_fmu.cosim.system.wiring import Wiring
 from ndob_fmu.errors import UsageError, one_of
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import Recording
 from ndob_fmu.support.interrupts import deferred_interrupt, held
 
 _QUIET_SECONDS = 2.0  # a run shorter than this shows no progress bar

@@ -10,7 +10,7 @@ import numpy as np
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.master.schemes import Ending
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
-from ndob_fmu.results.recordings import Recording
+from ndob_fmu.results.recording import FailedRunError, Recording
 from ndob_fmu.runtime.arrays import Array
 
 
@@ -65,13 +65,11 @@ class Rows:
 
     @contextmanager
     def kept_on_failure(self) -> Iterator[None]:
-        """Let a SimulationError carry what was recorded before it, if that is anything."""
+        """Raise a SimulationError of the block as a FailedRunError with the rows recorded before it, if any."""
         try:
             yield
         except SimulationError as error:
-            if self._count:
-                error.recording = self.recording()
-            raise
+            raise FailedRunError(str(error), self.recording() if self._count else None) from error
 
 
 def _allocate(clock: Clock, width: int) -> tuple[Array, Array]:

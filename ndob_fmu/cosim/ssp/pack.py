@@ -16,7 +16,7 @@ from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX, SSD_NAME, Element, child, parse
 from ndob_fmu.cosim.ssp.structure import components
 from ndob_fmu.errors import CouplingError, UsageError, one_of
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.temporary import temporary_folder
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have

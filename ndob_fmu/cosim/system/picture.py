@@ -13,7 +13,7 @@ from lxml import etree
 
 from ndob_fmu.cosim.system.system import Connection, System
 from ndob_fmu.errors import UsageError
-from ndob_fmu.results.recordings import atomic_path
+from ndob_fmu.support.files import atomic_path
 
 _LINE, _LETTER, _PAD = 15.0, 7.2, 14.0  # px: between lines of text, the width of a letter, around it
 _SVG = "http://www.w3.org/2000/svg"
