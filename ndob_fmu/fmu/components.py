@@ -17,7 +17,7 @@ from ndob_fmu.fmu.archive_files import surroundings
 from ndob_fmu.fmu.bundle import bundle
 from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.icon import draw_block
-from ndob_fmu.fmu.manual import component_manual
+from ndob_fmu.fmu.manual import TEXTS, page
 from ndob_fmu.interface.component_variables import (
     DESCRIPTIONS,
     EXPERIMENT,
@@ -145,8 +145,9 @@ def _extras(
     name: str, label: str, variables: Sequence[Variable], into: Sequence[str], out: Sequence[str]
 ) -> dict[str, bytes]:
     part = label or name.lower()
-    page = component_manual(f"{name}{label.capitalize()}", DESCRIPTIONS[part], part, variables)
-    return surroundings(page, draw_block(name, label, into, out, *_COLOURS))
+    template = (TEXTS / f"{part}.html.jinja").read_text("utf-8")
+    manual = page(f"{name}{label.capitalize()}", DESCRIPTIONS[part], template, variables)
+    return surroundings(manual, draw_block(name, label, into, out, *_COLOURS))
 
 
 def _regulated(model: Model, given: Sequence[str] | None) -> tuple[str, ...]:

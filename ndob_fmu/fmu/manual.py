@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Set
-from html import escape
+from collections.abc import Sequence, Set
+from functools import cache
 from pathlib import Path
-from string import Template
 from typing import Any, Literal
 
 import sympy
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 from sympy.printing.mathml import MathMLPresentationPrinter
 
 from ndob_fmu.interface.model_variables import Variable
@@ -18,40 +19,52 @@ Part = Literal["Plant", "Observer"]
 
 TEXTS = Path(__file__).parent / "documentation"
 
-_DIRECTION = (
-    "<p>Here d acts as n(x, u) d. The observer estimates the products n_j d; d̂ is their least-squares fit along "
-    "n(x̂, u), and <code>valid</code> is false also where n vanishes.</p>"
-)
-
 
 def manual(model: Model, part: Part, variables: Sequence[Variable]) -> str:
-    """Return the page as HTML that needs neither network nor scripts."""
+    """Return the page of a model's plant or observer."""
     at_sample = {f"{d}_at_sample" for d in model.disturbances} | {"valid"}
     at_sample |= {f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")}
-    own = _template(part.lower()).substitute(
-        equations=_equations(model),
-        variables=_tables(variables, at_sample),
-        **({"direction": _DIRECTION if model.channel_expressions else ""} if part == "Observer" else {}),
-    )
-    return _page(f"{model.name}{part}", model.description, own)
+    template = (TEXTS / f"{part.lower()}.html.jinja").read_text("utf-8")
+    shown = {"equations": _equations(model), "turns": bool(model.channel_expressions)}
+    return page(f"{model.name}{part}", model.description, template, variables, at_sample=at_sample, **shown)
 
 
-def component_manual(name: str, description: str, template: str, variables: Sequence[Variable]) -> str:
-    """Return the page of a component other than these; `template` is the name of its text."""
-    return _page(name, description, _template(template).substitute(variables=_tables(variables, set())))
+def page(
+    name: str,
+    description: str,
+    template: str,
+    variables: Sequence[Variable],
+    *,
+    at_sample: Set[str] = frozenset(),
+    **shown: Any,
+) -> str:
+    """Return a page as HTML that needs neither network nor scripts.
 
-
-def _page(name: str, description: str, own: str) -> str:
-    return _template("page").substitute(
+    template: what is said of this FMU, in Jinja, with {{ variables }} where their tables go, and {{ names }} of `shown`
+    at_sample: the outputs that belong to the sample at the start of a step; the others belong to its end
+    """
+    environment = _environment()
+    tables = environment.get_template("tables.html.jinja").render(variables=variables, at_sample=at_sample)
+    return environment.get_template("page.html.jinja").render(
         name=name,
-        description=escape(description),
-        part=own,
-        dependencies=escape((TEXTS / "externalDependencies.txt").read_text("utf-8")),
+        description=description,
+        part=Markup(environment.from_string(template).render(variables=Markup(tables), **shown)),
+        dependencies=(TEXTS / "externalDependencies.txt").read_text("utf-8"),
     )
 
 
-def _template(name: str) -> Template:
-    return Template((TEXTS / f"{name}.html").read_text("utf-8"))
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(TEXTS),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters.update(number=_number, start=_start, range=_range)
+    return environment
 
 
 # -- equations
@@ -88,7 +101,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
         return element
 
 
-def _equations(model: Model) -> str:
+def _equations(model: Model) -> Markup:
     x, u = (sympy.Matrix([model.symbols[name] for name in names]) for names in (model.states, model.inputs))
     d = [sympy.Symbol(f"{name}_total", real=True) for name in model.disturbances]
     w = [n * d[0] for n in model.channel_expressions] or d
@@ -104,13 +117,17 @@ def _equations(model: Model) -> str:
         if output not in model.states
     ]
     printer = _Printer({"mul_symbol": "dot"})
-    shown = "\n".join(
-        f'<p><math display="block">{left}<mo>=</mo>{printer.doprint(right)}</math></p>' for _, left, right in sides
-    )
-    text = "\n".join(f"{left} = {sympy.sstr(right, full_prec=False)}" for left, _, right in sides)
+    shown = [
+        {
+            "left": Markup(left),
+            "right": Markup(printer.doprint(right)),
+            "text": f"{name} = {sympy.sstr(right, full_prec=False)}",
+        }
+        for name, left, right in sides
+    ]
     measured = [name for name in model.outputs if name in model.states]
-    also = f"<p>Measured as they are: {_codes(measured)}.</p>\n" if measured else ""
-    return f"{shown}\n{also}<details><summary>As text</summary><pre>{escape(text)}</pre></details>"
+    template = _environment().get_template("equations.html.jinja")
+    return Markup(template.render(equations=shown, measured=measured))
 
 
 def _rate(state: str) -> str:
@@ -119,42 +136,6 @@ def _rate(state: str) -> str:
 
 
 # -- variables
-
-
-def _tables(variables: Sequence[Variable], at_sample: Set[str]) -> str:
-    groups = {c: [v for v in variables if v.causality == c] for c in ("input", "output", "parameter")}
-    tables = [
-        ("Inputs", ["Unit", "Start", "Value at"], [[v.unit, _number(v.start), "t"] for v in groups["input"]], "input"),
-        (
-            "Outputs",
-            ["Unit", "Value at"],
-            [[v.unit, "t" if v.name in at_sample else "t + H"] for v in groups["output"]],
-            "output",
-        ),
-        (
-            "Parameters, fixed when initialization ends",
-            ["Unit", "Start", "Range"],
-            [[v.unit, _start(v), _range(v)] for v in groups["parameter"]],
-            "parameter",
-        ),
-    ]
-    return "\n".join(
-        f"<h3>{title}</h3>\n{_table(['Name', *heads, 'Description'], _rows(groups[causality], cells))}"
-        for title, heads, cells, causality in tables
-    )
-
-
-def _rows(variables: Sequence[Variable], cells: Sequence[Sequence[str]]) -> list[list[str]]:
-    return [
-        [f"<code>{variable.name}</code>", *map(escape, own), escape(variable.description)]
-        for variable, own in zip(variables, cells, strict=True)
-    ]
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = ["".join(f"<th>{cell}</th>" for cell in head)]
-    lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in rows]
-    return "<table>\n" + "".join(f"<tr>{line}</tr>\n" for line in lines) + "</table>"
 
 
 def _start(variable: Variable) -> str:
@@ -174,7 +155,3 @@ def _number(value: float | int | bool | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or ""
     return str(value).lower() if isinstance(value, bool) else f"{value:g}"
-
-
-def _codes(names: Iterable[str]) -> str:
-    return ", ".join(f"<code>{name}</code>" for name in names)
