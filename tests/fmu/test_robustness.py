@@ -100,7 +100,7 @@ def test_a_state_can_be_restored_that_was_saved_after_parameters_that_admit_no_d
 
 
 def test_no_step_leaves_as_much_as_a_number_behind(fmu):
-    steps = 1500
+    steps = 3000  # Python 3.10 makes caches of a function in its 1024th call: some 150 blocks, which do not grow
     grown = soak.measure(fmu, "steady", steps)
     assert grown.blocks < 0.1 * steps
     assert grown.heap < 0.1 * steps * FLOAT

@@ -34,6 +34,7 @@ class RiccatiSolution:
 
     Q: (n, n) symmetric positive definite
     coordinates: (n, n) T of x = T z, in which Q is balanced: an orthogonal matrix times powers of two
+    balanced: (n, n) Q in the states z, of size one. It keeps the small directions, which Q loses to rounding at large π
     residual: Frobenius norm of the equation over that of its largest term, the larger one of states z and states x
     """
 
@@ -41,6 +42,7 @@ class RiccatiSolution:
     alpha: float
     Q: Array = field(repr=False)
     coordinates: Array = field(repr=False)
+    balanced: Array = field(repr=False)
     residual: float
 
     def __post_init__(self) -> None:
@@ -84,6 +86,7 @@ def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float
             alpha=alpha,
             Q=Q,
             coordinates=basis * scale,
+            balanced=Q_scaled,
             residual=max(
                 _relative_residual(Q_scaled, *_terms(shifted, C_b, G_b, pi, scale)),
                 # Q was rounded on its way back; in dense coordinates at extreme π that alone can spoil the gain.
