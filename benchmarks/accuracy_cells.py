@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from benchmarks.baselines import Array, System, extended_kalman_filter, extended_state_observer, second_difference
 from ndob_fmu import build, load_model
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.cosim import Connection, FmuComponent, Port, simulate
 from ndob_fmu.cosim import System as Coupled
 from ndob_fmu.cosim.component import recordable
@@ -272,7 +273,7 @@ class Setting:
 
     def same_knowledge(self, order: int, sigma: float, signal: Signal) -> SampledObserver:
         """Return the observer of this package, for what it was told: σ and its floor, D₀, D_r and the prior."""
-        equations = load_model(MODEL).equations
+        equations = compile_model(load_model(MODEL))
         return sampled_observer(
             equations,
             list(equations.parameters.values()),
@@ -289,7 +290,7 @@ class Setting:
 
 @cache
 def setting() -> Setting:
-    equations = load_model(MODEL).equations
+    equations = compile_model(load_model(MODEL))
     gravity = equations.parameters["gravity_torque"]
     linear = equations.linear_part(list(equations.parameters.values()))
 
@@ -416,7 +417,7 @@ def fitting_pi(sigma: float, signal: Signal) -> float:
 
 
 def _paper_run(data: Record, samples: Array, pi_end: float, degree: int) -> Array:
-    equations = load_model(MODEL).equations
+    equations = compile_model(load_model(MODEL))
     schedule = PiSchedule(1.0, pi_end, PAPER_RAMP)
     observer = paper_observer(equations, list(equations.parameters.values()), schedule, alpha=1.0, hold_degree=degree)
     state = observer.init(equations.xhat0)

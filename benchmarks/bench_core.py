@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.figures import Section, Time, compared
 from benchmarks.models import carts
 from benchmarks.timing import take_turns
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 
@@ -19,7 +20,7 @@ COUNT, ROUNDS = 50, 100
 
 def generated(model):
     """Return COUNT generated steps from rest, with a gain of as many entries as one that is designed."""
-    eq = model.equations
+    eq = compile_model(model)
     n, p, q = len(eq.states), len(eq.outputs), len(eq.disturbances)
     constants = eq.steps.observer_constants(model.parameter_values())
     gate, d_std, residual_std, gain = [1.0] * p, [0.1] * q, [0.1] * p, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
@@ -36,7 +37,7 @@ def generated(model):
 
 def by_definition(model):
     """Return COUNT steps at rest as NumPy takes them."""
-    eq, tuning = model.equations, model.equations.observer
+    eq, tuning = compile_model(model), compile_model(model).observer
     observer = sampled_observer(
         eq,
         model.parameter_values(),
@@ -63,7 +64,7 @@ def by_definition(model):
 
 def entries(model):
     """Return how many entries of A, B, C, G_f and G_d are not zero."""
-    linear = model.equations.linear_part(model.parameter_values())
+    linear = compile_model(model).linear_part(model.parameter_values())
     return sum(np.count_nonzero(matrix) for matrix in (linear.A, linear.B, linear.C, linear.G_f, linear.G_d))
 
 

@@ -18,6 +18,7 @@ from fmpy.fmi2 import FMU2Slave
 from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu import Model, build
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.interface.model_variables import Variable, observer_variables
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
@@ -108,7 +109,7 @@ def instance(path: Path, samples: list[list[float]]) -> Iterator[Cycled]:
 
 def samples_of(model: Model, steps: int) -> list[list[float]]:
     """Return inputs and outputs of the plant (steps, m + p), under a sine of half the bound as the disturbance."""
-    eq = model.equations
+    eq = compile_model(model)
     plant = Plant(eq, model.parameter_values(), [Generator(KINDS["sine"], b / 2, 0.5) for b in eq.disturbance_bound])
     C = eq.linear_part(model.parameter_values()).C
     u, d = [0.0] * len(eq.inputs), [0.0] * len(eq.disturbances)
@@ -121,7 +122,7 @@ def samples_of(model: Model, steps: int) -> list[list[float]]:
 
 def cycles(model: Model, folder: Path, release: ExitStack, count: int, rounds: int) -> dict[str, Callable[[], None]]:
     """Return `count` cycles of the model's observer, at rest, and of the empty slave, for so many rounds."""
-    variables = observer_variables(model.equations)
+    variables = observer_variables(compile_model(model))
     paths = {
         "observer": build(model, folder)[1],
         "empty slave": build_empty(f"{model.name}Observer", variables, folder),

@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 from ndob_fmu import build, load_model
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.interface.model_variables import observer_variables
 from tests.helpers.native_host import compile_host, unpack
 
@@ -26,7 +27,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=20_000)
     steps = parser.parse_args().steps
     model = load_model("flexible_joint")
-    variables = observer_variables(model.equations)
+    variables = observer_variables(compile_model(model))
     names = {
         kind: [v.name for v in variables if (v.causality, v.type) == kind]
         for kind in (("input", "Real"), ("output", "Real"), ("output", "Boolean"))

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ndob_fmu import load_model
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.results.csv_files import write_csv
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array
@@ -113,7 +114,7 @@ def observer_inputs(experiment: Experiment) -> Recording:
 
 def observers() -> tuple[Any, Any]:
     """Return the observers of methods 1 and 2 at the FMU's start values."""
-    eq = load_model("flexible_joint").equations
+    eq = compile_model(load_model("flexible_joint"))
     tuning, parameters = eq.observer, list(eq.parameters.values())
     paper = paper_observer(
         eq,

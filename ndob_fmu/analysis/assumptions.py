@@ -14,6 +14,7 @@ import numpy as np
 from ndob_fmu.analysis.check_report import Report, Row
 from ndob_fmu.analysis.direction import shortest_direction
 from ndob_fmu.analysis.lipschitz import largest_slope
+from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -36,7 +37,7 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     chosen = model.observer.alpha if alpha is None else alpha
     if not (isinstance(chosen, (int, float)) and math.isfinite(chosen) and chosen > 0):
         raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(chosen))
-    linear = model.linear_part(parameters)
+    linear = linear_part(model, parameters)
     begin(f"measuring modes, ranks and zeros of {model.name}")
     system = balance(linear.A, linear.G, linear.C)
     channels = [*([] if linear.matched else [f"f[{i}]" for i in range(linear.G_f.shape[1])]), *model.unknown_inputs]

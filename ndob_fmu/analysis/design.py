@@ -9,6 +9,7 @@ import numpy as np
 from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.analysis.paper_design import Design, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import sampled_data_design
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.gains import paper_gains
@@ -53,7 +54,7 @@ def design(
         raise UsageError.report("step size", expected="a finite time > 0 s", received=repr(step_size))
     begin(f"designing the observer of {model.name} for steps of {step_size:g} s")
     order = model.observer.disturbance_order if disturbance_order is None else disturbance_order
-    equations, q = model.equations, len(model.disturbances)
+    equations, q = compile_model(model), len(model.disturbances)
     bound = _for_each("disturbance bound", disturbance_bound, q, equations.disturbance_bound)
     if order == model.observer.disturbance_order and disturbance_bound is None:
         usual = equations.disturbance_rate
@@ -87,7 +88,7 @@ def _for_each(
 
 
 def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> Design:
-    linear = model.linear_part(parameters)
+    linear = linear_part(model, parameters)
     gains = paper_gains(linear, pi=pi, alpha=alpha)
     poles = np.linalg.eigvals(linear.A - gains.L @ linear.C)
     estimate = np.sqrt(pi) * linear.selector @ gains.W

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.analysis.certificate import Certificate, certify
 from ndob_fmu.analysis.paper_design import Design, sorted_poles, table
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error, steady_std
@@ -114,7 +115,7 @@ def sampled_data_design(
 
     Raises DesignError for values outside their range or where no stationary gain can be found.
     """
-    equations = lumped(model.equations)
+    equations = lumped(compile_model(model))
 
     def observer_for(rate: tuple[float, ...]) -> SampledObserver:
         return sampled_observer(

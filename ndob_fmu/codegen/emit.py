@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import sympy
 
 from ndob_fmu.codegen.emit_step import STEP_IMPORTS, emit_steps
 from ndob_fmu.codegen.python_text import python_text, tuple_text
-from ndob_fmu.errors import ModelError
-from ndob_fmu.runtime.equations import Equations
-from ndob_fmu.support.progress import begin
-
-if TYPE_CHECKING:
-    from ndob_fmu.model.model import Model
+from ndob_fmu.model.model import Model
 
 _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edit."""
 
@@ -73,32 +68,6 @@ def emit_python(model: Model) -> str:
         parts.append(_function("derivatives", [("_x", x), ("_u", u), ("_d", d), ("_p", p)], list(derivatives)))
     parts += [*emit_steps(model), _equations(model)]
     return "\n\n".join(parts)
-
-
-def compile_equations(model: Model) -> Equations:
-    """Return the model's equations, compiled from the text that `emit_python` writes.
-
-    Raises ModelError where the text cannot be evaluated at the model's start values.
-    """
-    begin(f"writing the equations of {model.name} as code")
-    namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
-    exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
-    equations: Equations = namespace["EQUATIONS"]
-    values = tuple(equations.parameters.values())
-    try:
-        equations.matrices(values)
-        for start in (equations.x0, equations.xhat0):
-            equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
-            if equations.channel is not None:
-                equations.channel.direction(start, (0.0,) * len(equations.inputs), values)
-    except (ArithmeticError, ValueError, NameError, TypeError) as error:
-        raise ModelError.report(
-            f"{model.name} at its start values",
-            expected=f"matrices and f{' and channel' if equations.channel else ''} that can be evaluated",
-            received=f"{type(error).__name__}: {error}",
-            likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
-        ) from error
-    return equations
 
 
 def _function(

@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from sys import float_info
-from typing import TYPE_CHECKING
 
 import sympy
 
 from ndob_fmu.codegen.python_text import python_text, tuple_text
 from ndob_fmu.codegen.straight_line import RightHandSide, correction, right_hand_side, symbols, trial
+from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.runtime.numerics.integrate import ABSOLUTE_TOLERANCE, NODES
-
-if TYPE_CHECKING:
-    from ndob_fmu.model.model import Model
 
 # Names of the model do not begin with an underscore, so that none can hide these.
 STEP_IMPORTS = """from ndob_fmu.runtime.numerics.integrate import ALMOST as _ALMOST

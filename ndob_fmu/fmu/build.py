@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ndob_fmu.analysis.assumptions import check
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.fmu.archive import package
 from ndob_fmu.fmu.archive_files import extras
@@ -23,10 +24,10 @@ def build(model: Model, out: str | Path = "build/fmus") -> tuple[Path, Path]:
     """
     check(model).require()
     folder = Path(out)
-    text = emit_python(model)
+    equations, text = compile_model(model), emit_python(model)
     return (
-        _build(model, "Plant", plant_variables(model.equations), text, folder),
-        _build(model, "Observer", observer_variables(model.equations), text, folder),
+        _build(model, "Plant", plant_variables(equations), text, folder),
+        _build(model, "Observer", observer_variables(equations), text, folder),
     )
 
 
@@ -34,7 +35,7 @@ def _build(model: Model, part: Part, variables: tuple[Variable, ...], equations_
     name = f"{model.name}{part}"
     return package(
         folder / f"{name}.fmu",
-        FmuDescription(name, model.equations.description, variables, model.equations.experiment),
+        FmuDescription(name, model.description, variables, model.experiment),
         bundle(name, f"{part.lower()}_slave", f"{part}Slave", equations_text, ("EQUATIONS",)),
         extras(model, part, variables),
     )

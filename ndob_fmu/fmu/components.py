@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.errors import DesignError, ModelError, UsageError, some_of
 from ndob_fmu.fmu.archive import package
@@ -61,7 +62,7 @@ def design_controller(
     Raises UsageError for a pace or names that cannot be used, ModelError for a plant without inputs, DesignError where
     it cannot be brought to rest or its unstable part cannot be moved.
     """
-    eq = model.equations
+    eq = compile_model(model)
     n, m = len(eq.states), len(eq.inputs)
     if m == 0:
         raise ModelError.report(f"the controller of {model.name}", expected="a plant with inputs", received="none")
@@ -87,7 +88,7 @@ def design_controller(
             likely="the inputs do not reach a mode that is slower, or a pole lies on that line: try another pace",
         )
     gain = tuple(tuple(float(value) for value in row) for row in K)
-    return ControllerDesign(Feedback(names, gain), poles, _unmatched(model.linear_part().G_d, B))
+    return ControllerDesign(Feedback(names, gain), poles, _unmatched(linear_part(model).G_d, B))
 
 
 def build_controller(
@@ -104,10 +105,10 @@ def build_controller(
     feedback = design_controller(model, regulated=regulated, pace=pace).feedback
     text = f"{emit_python(model)}\n\nfrom {Feedback.__module__} import Feedback\n\nFEEDBACK = {feedback!r}\n"
     name = f"{model.name}Controller"
-    variables = controller_variables(model.equations, feedback)
+    variables = controller_variables(compile_model(model), feedback)
     return package(
         Path(out, f"{name}.fmu"),
-        FmuDescription(name, DESCRIPTIONS["controller"], variables, model.equations.experiment),
+        FmuDescription(name, DESCRIPTIONS["controller"], variables, compile_model(model).experiment),
         bundle(name, "controller_slave", "ControllerSlave", text, ("EQUATIONS", "FEEDBACK")),
         _extras(model.name, "controller", variables, ["$r$", r"$\hat{x}$", r"$\hat{d}$"], ["$u$"]),
     )

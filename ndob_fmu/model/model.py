@@ -17,14 +17,11 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
-import numpy as np
 import sympy
 
-from ndob_fmu.codegen.emit import compile_equations
 from ndob_fmu.errors import ModelError, nearest, one_of, some_of
 from ndob_fmu.interface.model_variables import reserved_names
-from ndob_fmu.runtime.design.gains import LinearPart
-from ndob_fmu.runtime.equations import Equations, Experiment, ObserverDefaults, SignalDefaults, lumped_names
+from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults, lumped_names
 
 # What XML 1.0 cannot carry, not even escaped.
 _NO_TEXT = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -145,31 +142,6 @@ class Model:
         rate, order = self.observer.disturbance_rate, max(self.observer.disturbance_order, 1)
         sines = tuple(bound * (2.0 * math.pi) ** order for bound in tuple(self.disturbance_bound))  # type: ignore[arg-type]
         return self._vector("observer.disturbance_rate", _for_each(len(sines), rate), sines)
-
-    @cached_property
-    def equations(self) -> Equations:
-        """The equations as the runtime uses them, compiled from the very text that goes into the FMUs."""
-        return compile_equations(self)
-
-    def linear_part(self, parameters: Mapping[str, float] | None = None) -> LinearPart:
-        """Return the constant matrices at the default parameters, or with those in `parameters` replaced.
-
-        Raises ModelError for a name that is not a parameter, and for values at which the matrices are not finite.
-        """
-        values = self.parameter_values(parameters)
-        try:
-            linear = self.equations.linear_part(values)
-            finite = all(np.isfinite(M).all() for M in (linear.A, linear.B, linear.C, linear.G_f, linear.G_d))
-        except (ArithmeticError, ValueError, TypeError):  # TypeError: the root of a negative number is complex
-            finite = False
-        if not finite:
-            raise ModelError.report(
-                f"the matrices of {self.name}",
-                expected="finite real entries",
-                received=some_of(f"{name} = {value:g}" for name, value in zip(self.parameters, values, strict=True)),
-                likely="a division by zero or the root of a negative number at these parameters",
-            )
-        return linear
 
     def parameter_values(self, overrides: Mapping[str, float] | None = None) -> tuple[float, ...]:
         """Return all parameter values in their order.

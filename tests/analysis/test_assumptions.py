@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ndob_fmu import check
+from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.gains import LinearPart
@@ -151,7 +152,7 @@ def test_the_balanced_system_is_the_same_in_any_units_but_for_powers_of_two():
 
 
 def test_a_rounding_error_where_a_zero_should_be_does_not_choose_the_units():
-    linear = MODELS["three_tank"].linear_part()
+    linear = linear_part(MODELS["three_tank"])
     soiled = linear.A.copy()
     soiled[0, 2] = 1e-24
     clean, other = (balance(A, linear.G, linear.C) for A in (linear.A, soiled))

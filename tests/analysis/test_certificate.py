@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu.analysis.certificate import certify, theorem_3_bound
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.numerics.exponential import exponential
@@ -18,7 +19,7 @@ WARM_UP = 3.0
 
 
 def observer_for(model, order, *, noise_std=NOISE, rate=None):
-    equations = model.equations
+    equations = compile_model(model)
     bound = equations.disturbance_bound
     return sampled_observer(
         equations,
@@ -71,7 +72,7 @@ class Played:
 
 def errors_of(observer, model, disturbance, H, steps):
     """Run plant and observer, both from the true state, and return |d̂ − d| at the sample, ahead, and |x̂ − x|."""
-    equations = model.equations
+    equations = compile_model(model)
     plant = Plant(equations, observer.parameters, [disturbance])
     x, o = plant.init(equations.x0, 0.0), observer.init(equations.x0)
     C = observer.system.linear.C
@@ -201,7 +202,7 @@ def test_where_f_can_undo_the_observer_there_is_no_bound():
 
 
 def test_theorem_3_gives_the_figures_of_its_derivation_and_is_looser_as_printed():
-    linear = FLEXIBLE.linear_part()
+    linear = linear_part(FLEXIBLE)
     Q = paper_gains(linear, pi=1e12, alpha=1.0).riccati.Q
     ours = theorem_3_bound(Q, pi=1e12, alpha=1.0, lipschitz=10.0, disturbance_bound=2.0)
     beta = np.sqrt(np.linalg.norm(Q, 2) / 1e12)

@@ -15,6 +15,7 @@ import numpy as np
 import sympy
 
 from ndob_fmu import Model, NdobError, check, design
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 
 ROLES = ("states", "inputs", "outputs", "disturbances", "parameters")
@@ -39,7 +40,7 @@ def judge(role, name):
     """Raise AssertionError where a model with this name in this role computes something else than others do."""
     x, u, d, p = (0.3, 0.4), (0.5,), (0.6,), (2.0,)
     expected = (0.4, -0.3 - 2 * 0.4 + 2 * 0.5 + 0.6 + 2 * np.sin(0.3) / 2.3 + 0.4 * np.sin(0.5))
-    equations = with_name(role, name).equations
+    equations = compile_model(with_name(role, name))
     np.testing.assert_allclose(equations.derivatives(x, u, d, p), expected, rtol=1e-15, err_msg=name)
     steps = equations.steps
     after, _ = steps.plant_step(x, u, d * 6, steps.plant_constants(p), 1e-3)
@@ -54,7 +55,7 @@ def walk(role, name):
     design(model, step_size=1e-2)
     knowledge = {"noise_std": 1e-3, "disturbance_bound": (1.0,), "disturbance_rate": (40.0,)}
     start = {"x_hat": (0.0, 0.0), "x_std": (1.0, 1.0), "alpha": 0.5, "pi": 1e6}
-    observer = sampled_observer(model.equations, (2.0,), order=2, **knowledge, **start)
+    observer = sampled_observer(compile_model(model), (2.0,), order=2, **knowledge, **start)
     state = observer.init((0.0, 0.0))
     for _ in range(200):
         state, estimate = observer.step(state, (0.0,), (0.0,), 1e-2)

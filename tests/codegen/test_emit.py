@@ -14,7 +14,8 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ndob_fmu.codegen.emit import compile_equations, emit_python
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
+from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.errors import ModelError
 from ndob_fmu.model.model import Model
 from tests.helpers.problems import MODELS, RANDOM, to_model
@@ -58,7 +59,7 @@ def scalar(f, **changes):
 
 
 def value(f, a, b, k=1.5):
-    return scalar(f).equations.nonlinearity((a, b), (), (k,))[0]
+    return compile_model(scalar(f)).nonlinearity((a, b), (), (k,))[0]
 
 
 # -- the same numbers
@@ -67,7 +68,7 @@ def value(f, a, b, k=1.5):
 def test_every_function_of_the_module_is_the_symbolic_model():
     """ẋ = A x + B u + G_f f + G_d d in SymPy's own arithmetic, under names that could be mistaken."""
     model = awkward()
-    eq, p = model.equations, (3.0, -2.0, 0.5)
+    eq, p = compile_model(model), (3.0, -2.0, 0.5)
     x, u, d = (0.7, -1.2, 0.4), (0.3, 2.0), (1.0, -1.0, 0.5, 2.0, 3.0)
     f = 3.0 * math.sin(0.7 * -1.2) + 0.4 * 2.0 - 0.3 * 0.5
     A = np.array([[0, 1, 0], [-2, 0, 2], [0, 0, -0.5]])
@@ -84,7 +85,7 @@ def test_every_function_of_the_module_is_the_symbolic_model():
 
 @pytest.mark.parametrize("problem", RANDOM, ids=lambda problem: problem.name)
 def test_the_numbers_of_a_matrix_keep_every_bit(problem):
-    linear, written = problem.linear, to_model(problem.linear).linear_part()
+    linear, written = problem.linear, linear_part(to_model(problem.linear))
     for name in ("A", "B", "C", "G_f", "G_d"):
         np.testing.assert_array_equal(getattr(written, name), getattr(linear, name))
 
@@ -93,16 +94,16 @@ def test_the_numbers_of_a_matrix_keep_every_bit(problem):
 @given(number=st.floats(allow_nan=False, allow_infinity=False), factor=st.floats(1e-300, 1e300))
 def test_any_float_in_a_matrix_in_f_or_in_a_start_value_keeps_every_bit(number, factor):
     model = scalar(lambda a, b, k: factor * a, A=[[0, number], [0, 0]], x0=[number, 0.0])
-    assert model.linear_part().A[0, 1] == number
-    assert model.equations.nonlinearity((1.0, 0.0), (), (1.5,)) == (factor,)
-    assert model.equations.x0[0] == number
+    assert linear_part(model).A[0, 1] == number
+    assert compile_model(model).nonlinearity((1.0, 0.0), (), (1.5,)) == (factor,)
+    assert compile_model(model).x0[0] == number
 
 
 def test_exact_numbers_are_evaluated_as_such():
     third = sympy.Rational(1, 3)
     model = scalar(lambda a, b, k: sympy.pi * a + third, A=[[third, sympy.sqrt(2)], [10**20, 0]])
-    np.testing.assert_array_equal(model.linear_part().A, [[1 / 3, math.sqrt(2)], [1e20, 0.0]])
-    assert model.equations.nonlinearity((2.0, 0.0), (), (1.5,))[0] == pytest.approx(2 * math.pi + 1 / 3, rel=1e-15)
+    np.testing.assert_array_equal(linear_part(model).A, [[1 / 3, math.sqrt(2)], [1e20, 0.0]])
+    assert compile_model(model).nonlinearity((2.0, 0.0), (), (1.5,))[0] == pytest.approx(2 * math.pi + 1 / 3, rel=1e-15)
 
 
 FUNCTIONS = {
@@ -144,7 +145,7 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_are_evaluated_as_they_are_written(name):
     symbolic, numeric = FUNCTIONS[name]
-    equations = scalar(symbolic).equations
+    equations = compile_model(scalar(symbolic))
     points = np.random.default_rng(4).uniform(-3.0, 3.0, (50, 2)).tolist()
     for a, b in [*points, [0.0, 0.0], [0.0, 1.0], [1.5, 0.0], [-1.5, -1.5]]:
         received = equations.nonlinearity((a, b), (), (1.5,))[0]
@@ -161,7 +162,7 @@ def test_where_no_branch_of_a_piecewise_holds_f_is_no_number_rather_than_none():
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
 def test_the_states_that_f_depends_on_are_those_that_change_it(model):
-    eq, p = model.equations, model.parameter_values()
+    eq, p = compile_model(model), model.parameter_values()
     random = np.random.default_rng(0)
     x, u = random.uniform(0.1, 0.9, len(eq.states)), tuple(random.uniform(0.1, 0.9, len(eq.inputs)))
     changing = [
@@ -173,7 +174,7 @@ def test_the_states_that_f_depends_on_are_those_that_change_it(model):
 def test_a_model_without_f_has_none():
     model = to_model(RANDOM[5].linear, f=None, G_f=None, lipschitz=None)
     n, m, _, _ = RANDOM[5].shape
-    eq = model.equations
+    eq = compile_model(model)
     assert eq.nonlinearity((1.0,) * n, (1.0,) * m, ()) == ()
     assert np.array(eq.matrices(())[3]).size == 0
     assert eq.linear_part(()).G_f.shape == (n, 0)
@@ -185,7 +186,7 @@ def test_a_model_without_f_has_none():
 
 def test_a_model_without_inputs_and_parameters_has_no_columns_for_them():
     model = scalar(lambda a, b, k: a, parameters={"k": 1.0})
-    assert model.equations.linear_part((1.0,)).B.shape == (2, 0)
+    assert compile_model(model).linear_part((1.0,)).B.shape == (2, 0)
 
 
 # -- the same text
@@ -200,7 +201,7 @@ def test_the_text_is_the_same_each_time_and_evaluates_to_the_same_model(model):
     assert text == emit_python(replace(model))
     namespace = {}
     exec(compile(text, "equations", "exec"), namespace)
-    first, second = namespace["EQUATIONS"], compile_equations(model)
+    first, second = namespace["EQUATIONS"], compile_model(model)
     p = model.parameter_values()
     assert first.matrices(p) == second.matrices(p)
     assert {k: v for k, v in vars(first).items() if not callable(v) and k not in ("channel", "steps")} == {
@@ -256,7 +257,7 @@ def test_what_occurs_twice_is_computed_once():
 )
 def test_a_function_without_a_python_form_is_refused_by_name(f, received):
     with pytest.raises(ModelError, match="expected functions with a Python form") as refused:
-        scalar(f).equations  # noqa: B018 - the equations are written when they are first asked for
+        compile_model(scalar(f))
     message = str(refused.value)
     assert received in message
     assert "\n" not in message
@@ -273,5 +274,5 @@ def test_a_function_without_a_python_form_is_refused_by_name(f, received):
 )
 def test_an_f_that_cannot_be_evaluated_where_the_plant_starts_is_refused_with_the_reason(f, error):
     with pytest.raises(ModelError, match=f"Scalar at its start values: expected .*, received {error}") as refused:
-        scalar(f).equations  # noqa: B018
+        compile_model(scalar(f))
     assert "\n" not in str(refused.value)

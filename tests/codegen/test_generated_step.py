@@ -11,6 +11,7 @@ import sympy
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.base_errors import IntegrationError
@@ -56,7 +57,7 @@ def side(name, x):
 def observer_of(name, order, H):
     """Return the observer, and its state at rest before a sample."""
     model = ALL[name]
-    eq = lumped(model.equations)
+    eq = lumped(compile_model(model))
     observer = sampled_observer(
         eq,
         model.parameter_values(),
@@ -138,7 +139,7 @@ def test_the_observers_step_is_the_definitions_over_random_states_and_samples(na
 def test_the_plants_step_is_the_definitions_over_random_states_and_generators(name, H, seed):
     """The generators may jump within the step, and a long one takes several substeps."""
     model, random = ALL[name], np.random.default_rng(seed)
-    eq = model.equations
+    eq = compile_model(model)
     generators = [
         Generator(random.choice(list(KINDS.values())), *random.uniform([-3.0, 0.0, 0.0], [3.0, 5.0, 1.5 * H]))
         for _ in eq.disturbances
@@ -183,7 +184,7 @@ def test_a_sample_or_an_input_that_is_not_usual_is_left_to_the_definition(name, 
 
 def test_equations_that_cannot_be_evaluated_end_as_the_definition_does():
     rooted = replace(KINKS, f=lambda x, u, p: [sympy.sqrt(x.a), x.w ** sympy.Rational(1, 3)], lipschitz=20.0)
-    plant = Plant(rooted.equations, rooted.parameter_values(), [Generator()])
+    plant = Plant(compile_model(rooted), rooted.parameter_values(), [Generator()])
     for x in ([-1.0, 0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0, -1.0]):
         with pytest.raises(IntegrationError, match="equations cannot be evaluated"):
             plant.step(plant.init(x, 0.0), (0.0, 0.0), (0.0,), 1e-3)

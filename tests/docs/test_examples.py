@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ndob_fmu import check
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.design.gains import paper_gains
 from tests.helpers.problems import EXAMPLES, MODELS
@@ -16,12 +17,12 @@ every_example = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.
 
 
 def shape(model):
-    return len(model.states), len(model.inputs), len(model.outputs), model.linear_part().G.shape[1]
+    return len(model.states), len(model.inputs), len(model.outputs), linear_part(model).G.shape[1]
 
 
 def observe(model, pi):
     """Integrate plant and observer (eqs. 22–23) in continuous time; return t (N,), d (N, q2) and d̂ (N, q2)."""
-    linear, eq, n = model.linear_part(), model.equations, len(model.states)
+    linear, eq, n = linear_part(model), compile_model(model), len(model.states)
     gains = paper_gains(linear, pi=pi, alpha=model.observer.alpha)
     signal = model.disturbance
     generate = Generator(KINDS[signal.kind], signal.amplitude, signal.frequency, signal.start_time)
@@ -76,7 +77,7 @@ def test_its_default_disturbance_is_one_that_its_bound_allows(path):
 @every_example
 def test_its_fastest_observer_pole_can_be_followed_at_its_default_step(path):
     model = MODELS[path.stem]
-    linear = model.linear_part()
+    linear = linear_part(model)
     L = paper_gains(linear, pi=model.observer.pi_end, alpha=model.observer.alpha).L
     assert np.max(abs(np.linalg.eigvals(linear.A - L @ linear.C))) * model.experiment.step_size < 1.5
 
@@ -105,7 +106,7 @@ def test_the_motors_zero_is_its_electrical_pole():
 
 
 def test_the_motors_friction_is_odd_and_saturates():
-    eq = MODELS["dc_motor"].equations
+    eq = compile_model(MODELS["dc_motor"])
     p = tuple(eq.parameters.values())
     slow, fast, backward = (eq.nonlinearity((0.0, rate, 0.0), (0.0,), p)[0] for rate in (0.5, 50.0, -50.0))
     assert slow == pytest.approx(-0.76 * 0.2, rel=5e-3)
@@ -113,7 +114,7 @@ def test_the_motors_friction_is_odd_and_saturates():
 
 
 def test_the_tank_drains_by_torricellis_law_and_stands_still_when_empty():
-    eq = MODELS["three_tank"].equations
+    eq = compile_model(MODELS["three_tank"])
     p = tuple(eq.parameters.values())
     assert eq.nonlinearity((0.0, 0.0, 25.0), (0.0, 0.0), p)[0] == pytest.approx(-20.0 * 5.0, rel=1e-3)
     assert eq.derivatives((0.0, 0.0, 0.0), (0.0, 0.0), (0.0,), p) == (0.0, 0.0, 0.0)
@@ -121,14 +122,14 @@ def test_the_tank_drains_by_torricellis_law_and_stands_still_when_empty():
 
 def test_water_is_neither_made_nor_lost_between_the_tanks():
     model = MODELS["three_tank"]
-    eq, p = model.equations, model.parameter_values()
+    eq, p = compile_model(model), model.parameter_values()
     x, pumps, inflow = (33.0, 21.0, 12.0), (50.0, 40.0), (7.0,)
     stored = sum(eq.derivatives(x, pumps, inflow, p)) * model.parameters["area"]
     assert stored == pytest.approx(sum(pumps) + inflow[0] + eq.nonlinearity(x, pumps, p)[0])
 
 
 def test_the_car_steers_left_with_its_wheels_and_is_pushed_by_the_wind():
-    eq = MODELS["car_in_crosswind"].equations
+    eq = compile_model(MODELS["car_in_crosswind"])
     p = tuple(eq.parameters.values())
     at_rest = (0.0, 0.0, 0.0, 0.0)
     _, _, side, yaw = eq.derivatives(at_rest, (0.01,), (0.0, 0.0), p)

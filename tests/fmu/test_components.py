@@ -9,6 +9,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from ndob_fmu import Model, NdobError, load_model, simulate
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import DesignError, ModelError, UsageError
 from ndob_fmu.fmu.components import build_components, build_controller, design_controller
 from ndob_fmu.interface.component_variables import (
@@ -252,12 +253,12 @@ def joint_controller(**options):
         "limit": np.zeros(1),
         "compensation": True,
     }
-    return Controller(MODEL.equations, **{**defaults, **options})
+    return Controller(compile_model(MODEL), **{**defaults, **options})
 
 
 def at_rest(controller, reference, disturbance, *, estimated, stop=30.0):
     """Return x at `stop` of the plant under this feedback, from x = 0, and the last command."""
-    eq, target, x, substep = MODEL.equations, controller.start(), np.zeros(4), np.inf
+    eq, target, x, substep = compile_model(MODEL), controller.start(), np.zeros(4), np.inf
     for k in range(int(stop / 0.02)):
         target, u = controller.step(target, [reference], x, [estimated])
         x, substep = integrate(
@@ -292,7 +293,12 @@ def test_a_disturbance_that_the_inputs_do_not_reach_is_compensated_at_rest():
     design = design_controller(loaded)
     assert design.unmatched == pytest.approx([1.0])
     controller = Controller(
-        loaded.equations, loaded.parameter_values(), ("link_angle",), np.array(design.feedback.gain), np.zeros(1), True
+        compile_model(loaded),
+        loaded.parameter_values(),
+        ("link_angle",),
+        np.array(design.feedback.gain),
+        np.zeros(1),
+        True,
     )
     target, _ = controller.step(controller.start(), [0.2], np.zeros(4), [3.0])
     np.testing.assert_allclose(target.x, [0.2, 0.0, 0.2 + 10.0 * math.sin(0.2) - 3.0, 0.0], atol=1e-8)
@@ -343,7 +349,7 @@ def test_a_plant_whose_input_enters_through_f_is_controlled_around_its_start():
     design = design_controller(model)
     assert design.unmatched == pytest.approx([0.0], abs=1e-9)  # the leak acts where the pump does
     feedback = (design.feedback.regulated, np.array(design.feedback.gain), np.zeros(1))
-    controller = Controller(model.equations, model.parameter_values(), *feedback, compensation=True)
+    controller = Controller(compile_model(model), model.parameter_values(), *feedback, compensation=True)
     held = controller.start()
     np.testing.assert_allclose(held.x, [0.5, 0.5], rtol=1e-9)
     np.testing.assert_allclose(held.u, [math.sqrt(0.1 * 0.5 / 2e-6)], rtol=1e-9)
@@ -406,7 +412,7 @@ def test_the_components_have_these_names():
         *("sample_time", "delay", "dropout_probability", "dropped_sample", "between_samples"),
         *("angle_a", "angle_b", "torque_a", "torque_b", "stiffness"),
     ]
-    controller = controller_variables(MODEL.equations, design_controller(MODEL).feedback)
+    controller = controller_variables(compile_model(MODEL), design_controller(MODEL).feedback)
     assert [v.name for v in controller] == [
         *("link_angle_reference", "link_angle_hat", "link_rate_hat", "motor_angle_hat", "motor_rate_hat"),
         *("load_torque_hat", "motor_torque", "saturated", "gravity_torque", "joint_stiffness", "motor_damping"),

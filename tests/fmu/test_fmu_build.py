@@ -18,6 +18,7 @@ import sympy
 
 import ndob_fmu
 from ndob_fmu import Model, NdobError, build
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.cosim import System, simulate
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
@@ -271,7 +272,7 @@ def test_the_outputs_of_an_observer_of_pairwise_different_sizes_are_the_right_fi
     model = two_channels()
     observer = FmuComponent(build(model, tmp_path)[1])
     outputs = [v.name for v in observer.variables if v.causality == "output"]
-    eq, values, tuning = model.equations, [3.0, 0.25], PiSchedule(10.0, 1e5, 0.5)
+    eq, values, tuning = compile_model(model), [3.0, 0.25], PiSchedule(10.0, 1e5, 0.5)
     core = paper_observer(eq, values, tuning, alpha=0.7)
     state = core.init([0.5, 0.4, 0.3, 0.2, 0.1])
     starts = dict(zip((f"{s}_hat_start" for s in model.states), [0.5, 0.4, 0.3, 0.2, 0.1], strict=True))

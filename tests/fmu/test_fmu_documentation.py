@@ -19,6 +19,7 @@ import pytest
 import sympy
 
 from ndob_fmu import Model
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.fmu.icon import draw_icon
 from ndob_fmu.fmu.manual import manual
 from ndob_fmu.interface.model_variables import observer_variables, plant_variables
@@ -29,7 +30,7 @@ VARIABLES = {"Plant": plant_variables, "Observer": observer_variables}
 
 
 def page(model, part):
-    return manual(model, part, VARIABLES[part](model.equations))
+    return manual(model, part, VARIABLES[part](compile_model(model)))
 
 
 def tank(**changes):
@@ -161,7 +162,7 @@ def test_the_equations_on_the_page_are_those_that_run(name):
     sides = dict(line.split(" = ", 1) for line in html.unescape(text).splitlines())
     symbols = {key: sympy.Symbol(key) for key in values}
     got = [float(sympy.sympify(sides[f"der({s})"], locals=symbols).subs(values)) for s in model.states]
-    expected = model.equations.derivatives(x, u, d, list(model.parameters.values()))
+    expected = compile_model(model).derivatives(x, u, d, list(model.parameters.values()))
     np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12)
     calculated = {output for output in model.outputs if output not in model.states}
     assert set(sides) == {f"der({s})" for s in model.states} | calculated
@@ -204,7 +205,7 @@ def rows_of(text):
 
 def test_the_page_lists_every_variable_with_unit_start_and_range():
     rows = rows_of(page(MODELS["flexible_joint"], "Observer"))
-    assert set(rows) == {v.name for v in observer_variables(MODELS["flexible_joint"].equations)}
+    assert set(rows) == {v.name for v in observer_variables(compile_model(MODELS["flexible_joint"]))}
     assert rows["method"][1:3] == ["2 (sampled_data)", "1 paper, 2 sampled_data"]
     assert rows["disturbance_order"][1:3] == ["2", "≥ 0, ≤ 3"]
     assert rows["pi_end"][1:3] == ["1e+12", "&gt; 0"]
@@ -219,7 +220,7 @@ def test_the_page_says_which_instant_each_output_belongs_to(name):
     at_sample = {"valid", *(f"{d}_at_sample" for d in model.disturbances)}
     at_sample |= {f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")}
     for rows, variables in ((plant, plant_variables), (observer, observer_variables)):
-        for variable in variables(model.equations):
+        for variable in variables(compile_model(model)):
             if variable.causality == "output":
                 assert rows[variable.name][1] == ("t" if variable.name in at_sample else "t + H")
 

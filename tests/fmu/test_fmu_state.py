@@ -22,6 +22,7 @@ from hypothesis.extra import numpy as arrays
 
 from fmus.slave_state import Snapshot, from_bytes, to_bytes
 from ndob_fmu import build
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import NdobError
 from ndob_fmu.runtime.blocks.plant import PlantState
 from ndob_fmu.runtime.numerics.hold import History
@@ -143,7 +144,7 @@ def test_a_state_of_initialization_mode_brings_its_mode_and_parameters_back(flex
 def test_models_with_a_turning_channel_or_several_disturbances_replay_too(name, tmp_path):
     model = MODELS[name]
     _, path = build(model, tmp_path)
-    names = [*model.equations.inputs, *model.equations.outputs]
+    names = [*compile_model(model).inputs, *compile_model(model).outputs]
 
     def inputs(t):
         return {name: 0.1 * np.sin((2.0 + i) * t) for i, name in enumerate(names)}

@@ -13,6 +13,7 @@ from fmpy.fmi2 import FMU2Slave
 from scipy.integrate import solve_ivp
 
 from ndob_fmu import build
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.cosim.component import recordable
 from ndob_fmu.errors import SimulationError
@@ -151,7 +152,7 @@ def sampled_core(eq, parameters, x_hat):
 
 @pytest.mark.parametrize(("method", "make"), [(1, paper_core), (2, sampled_core)])
 def test_the_observer_is_its_core_to_the_last_bit(flexible_joint, method, make):
-    eq = MODEL.equations
+    eq = compile_model(MODEL)
     parameters = [9.0, 1.5, 0.8]
     core = make(eq, parameters, [0.1, 0.2, 0.3, 0.4])
     state = core.init([0.1, 0.2, 0.3, 0.4])
@@ -184,7 +185,7 @@ def test_the_coupled_fmus_are_the_same_plant_and_observer_run_as_plain_python(fl
     starts = {f"observer.{name}": value for name, value in MODERATE.items()}
     recording = simulate(flexible_joint.system, stop_time=steps * H, step_size=H, start_values=starts)
 
-    eq = MODEL.equations
+    eq = compile_model(MODEL)
     parameters = list(eq.parameters.values())
     plant = Plant(eq, parameters, [Generator(kind=1, amplitude=2.0)])
     observer = paper_observer(eq, parameters, PiSchedule(1.0, 1e6, 1.0), alpha=1.0)
@@ -203,7 +204,7 @@ def test_the_coupled_fmus_are_the_same_plant_and_observer_run_as_plain_python(fl
 
 def continuous_solution(times):
     """Return x̂ and d̂ (len(times), 5) of plant and observer as one system of differential equations, y continuous."""
-    linear = MODEL.linear_part()
+    linear = linear_part(MODEL)
     schedule = PiSchedule(1.0, MODERATE["pi_end"], MODERATE["pi_ramp_time"])
     table = gain_table(linear, schedule, alpha=1.0)
 
@@ -291,7 +292,7 @@ def test_the_plants_outputs_are_right_before_the_first_step_and_follow_what_is_s
 
 
 def test_the_observers_outputs_are_right_before_the_first_step_and_follow_what_is_set(flexible_joint):
-    linear = MODEL.linear_part()
+    linear = linear_part(MODEL)
     table = gain_table(linear, PiSchedule(100.0, 1e6, 1.0), alpha=1.0)
     gain = 10.0 * (linear.selector @ orthogonal_factor(linear, table.gain(np.log(100.0))))[0]
     starts = {**MODERATE, "pi_start": 100.0, "motor_angle_hat_start": 0.5}

@@ -18,6 +18,7 @@ from benchmarks.accuracy_cells import D0, QUICK, SIGNALS, Plan, Record, Score, S
 from benchmarks.accuracy_must_show import Row, as_text, least_error
 from benchmarks.accuracy_page import compare
 from benchmarks.baselines import extended_kalman_filter, extended_state_observer, linear_system, second_difference
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.design.tuning import tuned_intensities
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from tests.helpers.problems import system_with_zeros, to_model
@@ -75,7 +76,7 @@ def test_on_a_linear_plant_the_kalman_filter_is_this_packages_observer(order):
     linear = linear_plant(relative_degrees=(2,), zeros=(-1.5,), extra_outputs=1)
     H, sigma, steps, rate = 0.01, 1e-3, 300, (2.0 * np.pi) ** order
     n, p = len(linear.A), len(linear.C)
-    equations = to_model(linear).equations
+    equations = compile_model(to_model(linear))
     observer = sampled_observer(
         equations,
         list(equations.parameters.values()),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu import design
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import AssumptionError, DesignError, UsageError
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.design.schedule import PiSchedule
@@ -14,7 +15,7 @@ from ndob_fmu.runtime.step.paper_observer import paper_observer
 from tests.helpers.problems import BAD, MODELS, RANDOM, to_model
 
 FLEXIBLE_JOINT = MODELS["flexible_joint"]
-JOINT = FLEXIBLE_JOINT.linear_part()
+JOINT = linear_part(FLEXIBLE_JOINT)
 PIS = 10.0 ** np.arange(0, 17)
 TALL_JOINT = replace(JOINT, G_f=JOINT.G_d, matched=True)  # q = 1 < p = 2: both angles for the load torque alone
 problems = pytest.mark.parametrize("problem", RANDOM, ids=lambda problem: problem.name)
@@ -137,7 +138,7 @@ def test_w_shows_a_constant_load_of_the_joint_root_2_alpha_over_pi_to_a_quarter_
 @pytest.mark.parametrize("problem", RANDOM[4:8], ids=lambda problem: problem.name)
 def test_a_design_is_the_gain_at_its_pi_and_alpha_and_its_poles_are_those_of_a_minus_l_c(problem):
     model = to_model(problem.linear)
-    linear = model.linear_part()
+    linear = linear_part(model)
     report, gains = design(model, pi=1e6, alpha=0.4), paper_gains(linear, pi=1e6, alpha=0.4)
     for name in ("L", "W", "M"):
         np.testing.assert_array_equal(getattr(report, name), getattr(gains, name))
@@ -158,7 +159,7 @@ def test_the_noise_gain_is_the_spread_of_d_hat_under_white_noise_in_the_samples(
     """d̂ of the observer itself, eq. (23), at the true state and under 8000 noisy samples."""
     model = to_model(problem.linear)
     report = design(model, pi=1e6, alpha=0.4)
-    observer = paper_observer(model.equations, (), PiSchedule(1.0, 1e6, 0.0), alpha=0.4)
+    observer = paper_observer(compile_model(model), (), PiSchedule(1.0, 1e6, 0.0), alpha=0.4)
     n, _, p, _ = problem.shape
     state = observer.init(np.ones(n))
     y = problem.linear.C @ np.ones(n)
@@ -201,7 +202,7 @@ def test_pi_and_alpha_are_the_models_unless_given():
 
 def test_other_physical_parameters_give_another_gain():
     changed = design(FLEXIBLE_JOINT, pi=1e6, parameters={"joint_stiffness": 50.0})
-    linear = FLEXIBLE_JOINT.linear_part({"joint_stiffness": 50.0})
+    linear = linear_part(FLEXIBLE_JOINT, {"joint_stiffness": 50.0})
     np.testing.assert_array_equal(changed.L, paper_gains(linear, pi=1e6, alpha=1.0).L)
     assert np.max(np.abs(changed.L - design(FLEXIBLE_JOINT, pi=1e6).L)) > 1.0
 

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from ndob_fmu import design
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import AssumptionError, DesignError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
@@ -26,16 +27,16 @@ from ndob_fmu.runtime.step.paper_observer import paper_observer
 from tests.helpers.problems import MODELS, RANDOM, to_model
 
 JOINT = MODELS["flexible_joint"]
-LINEAR = JOINT.linear_part()
+LINEAR = linear_part(JOINT)
 ALPHA, TRUTH, WRONG, LOAD, TORQUE = 1.0, np.ones(4), -np.ones(4), 2.0, 0.5
 
 
 def joint_observer(schedule, **options):
-    return paper_observer(JOINT.equations, JOINT.parameter_values(), schedule, alpha=ALPHA, **options)
+    return paper_observer(compile_model(JOINT), JOINT.parameter_values(), schedule, alpha=ALPHA, **options)
 
 
 def joint_plant(load=LOAD):
-    return Plant(JOINT.equations, JOINT.parameter_values(), [Generator(KINDS["constant"], load)])
+    return Plant(compile_model(JOINT), JOINT.parameter_values(), [Generator(KINDS["constant"], load)])
 
 
 def coupled(observer, plant, steps, *, x_hat=WRONG, torque=0.0, lost=lambda k: False):
@@ -206,7 +207,7 @@ def test_where_the_output_is_a_quadratic_polynomial_the_estimate_stays_at_the_tr
         C=[[1, 0]],
         G_d=[[0], [1]],
     )
-    observer = paper_observer(model.equations, (), PiSchedule(1.0, pi, 0.0), alpha=0.4)
+    observer = paper_observer(compile_model(model), (), PiSchedule(1.0, pi, 0.0), alpha=0.4)
     H, force = 0.01, 0.7
 
     def truth(t):
@@ -369,7 +370,7 @@ def test_a_bad_input_is_replaced_by_the_last_good_one(bad):
 def test_at_rest_under_a_constant_d_the_estimate_comes_to_d_like_pi_to_the_minus_1_over_2r(problem):
     """r is the largest relative degree of the disturbances, or better where the bias of W is of higher order."""
     model = to_model(problem.linear)
-    eq, C = model.equations, problem.linear.C
+    eq, C = compile_model(model), problem.linear.C
     n, m, _, _ = problem.shape
     d, u = np.linspace(1.0, 2.0, len(model.disturbances)), np.linspace(-1.0, 1.0, m)
     x = root(lambda x: eq.derivatives(x, u, d, ()), np.zeros(n), tol=1e-12).x
@@ -395,8 +396,8 @@ def test_at_rest_under_a_constant_d_the_estimate_comes_to_d_like_pi_to_the_minus
 def test_a_friction_too_steep_for_the_step_is_integrated_in_substeps(H, pi):
     """The motor's γ‖G‖ = 200 1/s, so that γ‖G‖H is 2 and 10; against SciPy's stiff solver with the same y and L."""
     motor = MODELS["dc_motor"]
-    linear, p = motor.linear_part(), motor.parameter_values()
-    observer = paper_observer(motor.equations, p, PiSchedule(1.0, pi, 0.0), alpha=20.0)
+    linear, p = linear_part(motor), motor.parameter_values()
+    observer = paper_observer(compile_model(motor), p, PiSchedule(1.0, pi, 0.0), alpha=20.0)
     assert observer.fastest_f == pytest.approx(200.0)
     x_hat, y = np.array([0.0, 3.0, 0.5]), np.array([0.02])
     past = History(ages=np.array([H, 2.0 * H]), samples=np.array([[-3.0 * H], [-5.0 * H]]))
@@ -418,18 +419,18 @@ def test_a_friction_too_steep_for_the_step_is_integrated_in_substeps(H, pi):
 def test_gains_that_cannot_be_trusted_are_refused_when_the_observer_is_made():
     problem = RANDOM[3]
     with pytest.raises(DesignError, match="too large a pi"):
-        paper_observer(to_model(problem.linear).equations, (), PiSchedule(1.0, 1e36, 0.0), alpha=0.4)
+        paper_observer(compile_model(to_model(problem.linear)), (), PiSchedule(1.0, 1e36, 0.0), alpha=0.4)
 
 
 @pytest.mark.parametrize("alpha", [0.0, -1.0, np.nan, np.inf])
 def test_an_alpha_that_is_not_a_finite_number_above_zero_is_refused(alpha):
     with pytest.raises(DesignError, match="alpha: expected a finite number > 0"):
-        paper_observer(JOINT.equations, JOINT.parameter_values(), PiSchedule(1.0, 1e4, 0.0), alpha=alpha)
+        paper_observer(compile_model(JOINT), JOINT.parameter_values(), PiSchedule(1.0, 1e4, 0.0), alpha=alpha)
 
 
 def test_an_alpha_beyond_the_zeros_is_refused():
     """Theorem 1: α < min(−Re z); here the zeros are −2 and −0.5."""
-    equations = to_model(RANDOM[0].linear).equations
+    equations = compile_model(to_model(RANDOM[0].linear))
     paper_observer(equations, (), PiSchedule(1.0, 1e4, 0.0), alpha=0.49)
     with pytest.raises(AssumptionError):
         paper_observer(equations, (), PiSchedule(1.0, 1e4, 0.0), alpha=0.51)

@@ -10,6 +10,7 @@ import scipy.linalg
 import sympy
 from scipy.integrate import solve_ivp
 
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
@@ -25,7 +26,7 @@ TORQUE, OFFSET, END = 0.3, -0.2, 20.0  # the input and the disturbance that is a
 @functools.cache
 def reference(kind):
     """The joint's states at 20 s, from eq. (20) with its matrices and its f written here."""
-    linear = JOINT.linear_part()
+    linear = linear_part(JOINT)
 
     def derivatives(t, x):
         f, d = [-10.0 * np.sin(x[0])], [FORMULAS[kind](t) + OFFSET]
@@ -50,19 +51,19 @@ def run(plant, x, H, end, u=(), d=(0.0,)):
 @pytest.mark.parametrize("H", [0.1, 0.01])
 def test_the_joint_is_within_1e_8_after_20_s_under_every_disturbance_though_it_begins_inside_a_step(kind, H):
     assert round(T_S / H) * H != T_S or H < 0.05
-    plant = Plant(JOINT.equations, JOINT.parameter_values(), [generator(kind)])
+    plant = Plant(compile_model(JOINT), JOINT.parameter_values(), [generator(kind)])
     state = run(plant, np.ones(4), H, END, u=(TORQUE,), d=(OFFSET,))
     np.testing.assert_allclose(state.x, reference(kind), rtol=0, atol=1e-8)
 
 
 def test_the_joint_is_within_1e_8_after_20_s_at_a_step_of_1_ms():
-    plant = Plant(JOINT.equations, JOINT.parameter_values(), [generator("sine")])
+    plant = Plant(compile_model(JOINT), JOINT.parameter_values(), [generator("sine")])
     state = run(plant, np.ones(4), 1e-3, END, u=(TORQUE,), d=(OFFSET,))
     np.testing.assert_allclose(state.x, reference("sine"), rtol=0, atol=1e-8)
 
 
 def test_one_step_over_20_s_is_within_1e_8_too():
-    plant = Plant(JOINT.equations, JOINT.parameter_values(), [generator("step")])
+    plant = Plant(compile_model(JOINT), JOINT.parameter_values(), [generator("step")])
     state = plant.step(plant.init(np.ones(4), 0.0), (TORQUE,), (OFFSET,), END)
     np.testing.assert_allclose(state.x, reference("step"), rtol=0, atol=1e-8)
     assert state.t == END
@@ -76,7 +77,7 @@ def test_a_linear_plant_is_its_matrix_exponential(problem):
     model = to_model(linear, f=None, G_f=None, lipschitz=None)
     q = len(model.disturbances)
     u, d, x = np.linspace(1.0, 2.0, m), np.linspace(-1.0, 1.0, q) + 0.3, np.linspace(-1.0, 1.0, n)
-    plant = Plant(model.equations, (), [Generator()] * q)
+    plant = Plant(compile_model(model), (), [Generator()] * q)
     whole = np.zeros((n + 1, n + 1))
     whole[:n, :n], whole[:n, n] = linear.A, linear.B @ u + linear.G_d @ d
     exact = (scipy.linalg.expm(whole * 5.0) @ [*x, 1.0])[:n]
@@ -95,7 +96,7 @@ def test_every_disturbance_has_its_own_generator():
         G_d=[[1, 0], [0, 1], [0, 0]],
     )
     generators = [Generator(KINDS["ramp"], 2.0, start_time=0.25), Generator(KINDS["step"], 3.0, start_time=0.33)]
-    plant = Plant(model.equations, (), generators)
+    plant = Plant(compile_model(model), (), generators)
     state = run(plant, [0.0, 0.0, 1.0], 0.1, 1.0, d=(0.0, -1.0))
     np.testing.assert_allclose(state.x, [0.75**2, 3.0 * 0.67 - 1.0, 1.0 + 0.75**3 / 3.0], rtol=0, atol=1e-12)
     assert plant.disturbance(1.0, (0.5, -1.0)) == [2.0 * 0.75 + 0.5, 2.0]
@@ -104,13 +105,13 @@ def test_every_disturbance_has_its_own_generator():
 @pytest.mark.parametrize("start", [0.3, 0.25])
 def test_a_jump_inside_a_step_or_at_its_edge_costs_no_accuracy(start):
     model = Model(name="One", states=["a"], outputs=["a"], disturbances=["d"], A=[[-1]], C=[[1]], G_d=[[1]])
-    plant = Plant(model.equations, (), [Generator(KINDS["step"], A, start_time=start)])
+    plant = Plant(compile_model(model), (), [Generator(KINDS["step"], A, start_time=start)])
     exact = A * (1.0 - np.exp(-(1.0 - start)))
     assert run(plant, [0.0], 0.25, 1.0).x[0] == pytest.approx(exact, abs=1e-10)
 
 
 def test_a_step_of_the_plant_is_pure():
-    plant = Plant(JOINT.equations, JOINT.parameter_values(), [generator("sine")])
+    plant = Plant(compile_model(JOINT), JOINT.parameter_values(), [generator("sine")])
     state = run(plant, np.ones(4), 0.01, 4.0, u=(TORQUE,), d=(OFFSET,))
     before = tuple(state.x)
     first = plant.step(state, (TORQUE,), (OFFSET,), 4.05)
@@ -146,7 +147,7 @@ def scalar(f, **fields):
 )
 def test_a_solution_that_escapes_in_finite_time_ends_in_an_integration_error_with_the_time(monkeypatch, f, x0, end):
     monkeypatch.setattr(integrator, "MOST_SUBSTEPS", 10_000)
-    plant = Plant(scalar(f).equations, (), [Generator()])
+    plant = Plant(compile_model(scalar(f)), (), [Generator()])
     with pytest.raises(IntegrationError, match=r"at t = \d[\d.e-]* s: ") as failed:
         run(plant, [x0], 0.1, end)
     assert failed.value.exit_code == 1
@@ -154,14 +155,14 @@ def test_a_solution_that_escapes_in_finite_time_ends_in_an_integration_error_wit
 
 
 def test_equations_that_cannot_be_evaluated_end_in_an_integration_error():
-    plant = Plant(scalar(lambda a: -sympy.sqrt(a), x0=[1.0], xhat0=[1.0]).equations, (), [Generator()])
+    plant = Plant(compile_model(scalar(lambda a: -sympy.sqrt(a), x0=[1.0], xhat0=[1.0])), (), [Generator()])
     with pytest.raises(IntegrationError, match="cannot be evaluated"):
         run(plant, [0.01], 0.1, 1.0)
 
 
 def test_too_many_substeps_in_one_step_end_in_an_integration_error_that_names_the_likely_cause(monkeypatch):
     monkeypatch.setattr(integrator, "MOST_SUBSTEPS", 300)
-    plant = Plant(scalar(lambda a: -1e6 * a).equations, (), [Generator(KINDS["constant"], 1.0)])
+    plant = Plant(compile_model(scalar(lambda a: -1e6 * a)), (), [Generator(KINDS["constant"], 1.0)])
     with pytest.raises(
         IntegrationError, match=r"more than 300 substeps in one communication step; likely cause: .*stiff"
     ):

@@ -12,11 +12,12 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import DesignError
 from ndob_fmu.runtime.numerics.riccati import RiccatiSolution, controllability_staircase, lyapunov, solve_riccati
 from tests.helpers.problems import BAD, MODELS, RANDOM, Problem, minimum_phase_systems
 
-JOINT = MODELS["flexible_joint"].linear_part()
+JOINT = linear_part(MODELS["flexible_joint"])
 EPS = np.finfo(float).eps
 random_problem = pytest.mark.parametrize("problem", RANDOM, ids=lambda problem: problem.name)
 

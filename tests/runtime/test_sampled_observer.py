@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import DesignError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
@@ -17,7 +18,7 @@ STEPS = [1e-3, 5e-3, 1e-2]
 
 
 def observer_of(model=FLEXIBLE, *, order=2, noise_std=0.0, bound=None, rate=None, x_std=None, pi=1e8):
-    eq = model.equations
+    eq = compile_model(model)
     bound = eq.disturbance_bound if bound is None else bound
     return sampled_observer(
         eq,
@@ -175,7 +176,7 @@ def test_a_state_that_only_slow_zeros_forget_does_not_spoil_the_start(index, sig
 def test_the_examples_disturbances_are_found_to_a_percent_of_their_bound(name, H):
     model = MODELS[name]
     observer = observer_of(model, order=2)
-    bounds = model.equations.disturbance_bound
+    bounds = compile_model(model).disturbance_bound
     generators = [Generator(KINDS["sine"], 0.5 * bound, 0.5) for bound in bounds]
     run = Run(observer, generators, H, 3.0)
     late = run.time > 2.0
@@ -206,7 +207,7 @@ def test_the_error_bar_is_honest_from_the_first_sample_on():
     inside = []
     for seed in range(20):
         random = np.random.default_rng(seed)
-        x0 = np.array(FLEXIBLE.equations.xhat0) + random.normal(size=4) * [0.3, 0.5, 0.3, 0.5]
+        x0 = np.array(compile_model(FLEXIBLE).xhat0) + random.normal(size=4) * [0.3, 0.5, 0.3, 0.5]
         amplitude = 5.0 * random.uniform(-1.0, 1.0)
         run = Run(observer, sine(1.0, amplitude), 5e-3, 0.25, sigma=1e-4, seed=seed, x0=x0)
         inside.append(np.abs(run.ahead) <= 3.0 * run.std)
@@ -237,7 +238,7 @@ def test_the_host_may_change_its_step_in_every_way():
 
 def test_a_step_depends_on_nothing_but_its_arguments():
     observer = observer_of(noise_std=1e-5)
-    eq = FLEXIBLE.equations
+    eq = compile_model(FLEXIBLE)
     start = observer.init(eq.xhat0)
     first, one = observer.step(start, [0.1], [1.0, 0.9], 2e-3)
     for H in (1e-3, 2e-3, 5e-3):
@@ -305,7 +306,7 @@ def test_after_ten_refusals_it_is_the_estimate_that_starts_anew():
     run = spoiled(lambda k, y, last: y * np.nan)
     assert run.valid[BAD_TO:].mean() > 0.99
     observer = observer_of(noise_std=NOISE)
-    eq, C = FLEXIBLE.equations, FLEXIBLE.linear_part().C
+    eq, C = compile_model(FLEXIBLE), linear_part(FLEXIBLE).C
     plant = Plant(eq, observer.parameters, constant())
     x, state, errors, valid = plant.init(eq.x0, 0.0), observer.init(eq.xhat0), [], []
     for k in range(400):
@@ -332,7 +333,7 @@ def test_no_sample_after_a_jump_of_the_disturbance_is_taken_for_a_bad_one(order,
 
 def test_an_input_that_is_not_finite_is_replaced_by_the_last_one():
     observer = observer_of()
-    state = observer.init(FLEXIBLE.equations.xhat0)
+    state = observer.init(compile_model(FLEXIBLE).xhat0)
     state, _ = observer.step(state, [0.5], [1.0, 1.0], 1e-3)
     same, one = observer.step(state, [0.5], [1.0, 1.0], 1e-3)
     lost, two = observer.step(state, [np.nan], [1.0, 1.0], 1e-3)

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import DesignError
 from ndob_fmu.runtime.design.schedule import PiSchedule, gain_table
 from ndob_fmu.runtime.numerics.riccati import solve_riccati
 from tests.helpers.problems import MODELS, RANDOM
 
 LINEAR_PARTS = {problem.name: problem.linear for problem in RANDOM}
-LINEAR_PARTS |= {name: model.linear_part() for name, model in MODELS.items()}
+LINEAR_PARTS |= {name: linear_part(model) for name, model in MODELS.items()}
 ALPHA = 0.4
 every_plant = pytest.mark.parametrize("name", LINEAR_PARTS)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.runtime.design.augmented import augment, discretise
 from ndob_fmu.runtime.design.gains import LinearPart, paper_gains
 from ndob_fmu.runtime.design.sampled_design import sampled_design
@@ -21,7 +22,7 @@ from ndob_fmu.runtime.design.tuning import (
 from ndob_fmu.runtime.numerics.kalman import converged_factor
 from tests.helpers.problems import MODELS, RANDOM
 
-LINK = MODELS["flexible_joint"].linear_part()
+LINK = linear_part(MODELS["flexible_joint"])
 SINE = 2.0 * np.pi
 
 

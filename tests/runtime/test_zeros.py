@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import AssumptionError, DesignError
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.numerics.zeros import require_zeros_left_of
@@ -16,11 +17,11 @@ MOTOR = MODELS["dc_motor"]
 
 
 def paper(model, alpha):
-    return paper_observer(model.equations, model.parameter_values(), PiSchedule(1.0, 1e4, 0.0), alpha=alpha)
+    return paper_observer(compile_model(model), model.parameter_values(), PiSchedule(1.0, 1e4, 0.0), alpha=alpha)
 
 
 def sampled(model, alpha, order):
-    eq = model.equations
+    eq = compile_model(model)
     return sampled_observer(
         eq,
         model.parameter_values(),

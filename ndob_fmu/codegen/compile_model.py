@@ -1,0 +1,73 @@
+"""A model as functions that can be called: its equations, compiled from the text that goes into the FMUs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ndob_fmu.codegen.emit import emit_python
+from ndob_fmu.errors import ModelError, some_of
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.support.progress import begin
+
+# A model never changes, and writing its code takes seconds.
+_COMPILED: WeakKeyDictionary[Model, Equations] = WeakKeyDictionary()
+
+
+def compile_model(model: Model) -> Equations:
+    """Return the model's equations as the runtime uses them; a model that is asked for again is not compiled again.
+
+    Raises ModelError where an expression has no Python form or cannot be evaluated at the model's start values.
+    """
+    found = _COMPILED.get(model)
+    if found is None:
+        found = _COMPILED[model] = _compiled(model)
+    return found
+
+
+def linear_part(model: Model, parameters: Mapping[str, float] | None = None) -> LinearPart:
+    """Return the constant matrices at the default parameters, or with those in `parameters` replaced.
+
+    Raises ModelError for a name that is not a parameter, and for values at which the matrices are not finite.
+    """
+    values = model.parameter_values(parameters)
+    try:
+        linear = compile_model(model).linear_part(values)
+        finite = all(np.isfinite(M).all() for M in (linear.A, linear.B, linear.C, linear.G_f, linear.G_d))
+    except (ArithmeticError, ValueError, TypeError):  # TypeError: the root of a negative number is complex
+        finite = False
+    if not finite:
+        raise ModelError.report(
+            f"the matrices of {model.name}",
+            expected="finite real entries",
+            received=some_of(f"{name} = {value:g}" for name, value in zip(model.parameters, values, strict=True)),
+            likely="a division by zero or the root of a negative number at these parameters",
+        )
+    return linear
+
+
+def _compiled(model: Model) -> Equations:
+    begin(f"writing the equations of {model.name} as code")
+    namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
+    exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
+    equations: Equations = namespace["EQUATIONS"]
+    values = tuple(equations.parameters.values())
+    try:
+        equations.matrices(values)
+        for start in (equations.x0, equations.xhat0):
+            equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
+            if equations.channel is not None:
+                equations.channel.direction(start, (0.0,) * len(equations.inputs), values)
+    except (ArithmeticError, ValueError, NameError, TypeError) as error:
+        raise ModelError.report(
+            f"{model.name} at its start values",
+            expected=f"matrices and f{' and channel' if equations.channel else ''} that can be evaluated",
+            received=f"{type(error).__name__}: {error}",
+            likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
+        ) from error
+    return equations
