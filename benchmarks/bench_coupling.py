@@ -11,7 +11,7 @@ import pytest
 from benchmarks.coupling import TOOLS, Job, spent
 from benchmarks.figures import Section, Time, compared
 from ndob_fmu import build, load_model
-from ndob_fmu.cosim import build_ssp
+from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.shipped import shipped_folder
 
 ROUNDS = {1: 3, 2: 7}

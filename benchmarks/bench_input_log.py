@@ -8,7 +8,7 @@ from benchmarks.figures import Ratio, Section, Time, compared
 from benchmarks.input_log import bare, memory_of_csv, ours, record
 from benchmarks.timing import take_turns
 from ndob_fmu import build, load_model
-from ndob_fmu.cosim import build_ssp
+from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.shipped import shipped_folder
 
 ROUNDS = 7

@@ -152,7 +152,7 @@ TOOLS: dict[str, Callable[[Job], None]] = {
     "ecospy": ecospy,
     "ecospy, records nothing": lambda job: ecospy(job, record=False),
 }
-_IMPORTS = {"ours": "ndob_fmu.cosim.run", "bare loop": "fmpy.fmi2"}
+_IMPORTS = {"ours": "ndob_fmu.cosim.simulation", "bare loop": "fmpy.fmi2"}
 
 
 def spent(tool: str, job: Job, folder: Path) -> Spent:

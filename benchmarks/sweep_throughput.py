@@ -21,7 +21,7 @@ import fmpy
 import psutil
 
 from ndob_fmu import build, load_model
-from ndob_fmu.cosim import build_ssp
+from ndob_fmu.packages import build_ssp
 from ndob_fmu.study import read_study, sweep
 from ndob_fmu.study.sweep import Tally
 from ndob_fmu.support.shipped import shipped_folder

@@ -33,6 +33,7 @@ WAY = [
     "results",
     "study",
     "report",
+    "packages",
     "demo",
     "cli",
 ]

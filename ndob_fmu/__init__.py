@@ -20,6 +20,7 @@ _HOME = {
     "simulate": "ndob_fmu.cosim",
     "System": "ndob_fmu.cosim",
     "FmuComponent": "ndob_fmu.cosim",
+    "write_ssp": "ndob_fmu.packages",
     "NdobError": "ndob_fmu.errors",
 }
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "design",
     "load_model",
     "simulate",
+    "write_ssp",
 ]
 
 

@@ -139,10 +139,11 @@ def _build(options: argparse.Namespace) -> int:
 
 def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
     """Build one after the other and yield their paths; the FMUs that no design can fail for come first."""
-    from ndob_fmu.cosim import build_ssp, parameter_sets
+    from ndob_fmu.cosim import parameter_sets
     from ndob_fmu.fmu import build
     from ndob_fmu.fmu.components import build_components, build_controller
     from ndob_fmu.model.loading import load_model
+    from ndob_fmu.packages import build_ssp
     from ndob_fmu.support.shipped import shipped_folder
 
     model = load_model(name)

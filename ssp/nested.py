@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.ssp.schema import NAMESPACES
-from ndob_fmu.cosim.ssp.support import FMU_TYPE
+from ndob_fmu.cosim.ssp.supported import FMU_TYPE
 
 _SPACES = " ".join(f'xmlns:{prefix}="{namespace}"' for prefix, namespace in NAMESPACES.items())
 _HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ndob_fmu.cosim import System
 from ndob_fmu.cosim.component import Value
-from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.ssp.write import describe
 from ndob_fmu.support.files import atomic_path
 from ssp.boundary import with_boundary
@@ -199,7 +199,7 @@ def descriptions(fmus: Path) -> dict[str, bytes]:
     """Return all files by their paths in this folder."""
     files: dict[str, bytes] = {}
     for name, (make, stop_time, sets) in SYSTEMS.items():
-        experiment = Experiment(0.0, stop_time, 1e-3)
+        experiment = DefaultExperiment(0.0, stop_time, 1e-3)
         for parameter_set in sets:
             system = make(fmus, SETS[parameter_set])
             texts = describe(system, name, experiment, parameter_set, " ".join((make.__doc__ or "").split()))

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import settings
 
 from ndob_fmu import build, load_model
-from ndob_fmu.cosim import build_ssp, parameter_sets
+from ndob_fmu.cosim import parameter_sets
 from ndob_fmu.fmu.components import build_components, build_controller
+from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.shipped import shipped_folder
 
 # A test of random cases that says no number itself has few in the suite, and many in `make soak`, where they vary.

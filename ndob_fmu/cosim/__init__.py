@@ -2,10 +2,11 @@
 
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
-from ndob_fmu.cosim.run import open_system, simulate
-from ndob_fmu.cosim.ssp import build_ssp, check_ssp, open_ssp, parameter_sets
+from ndob_fmu.cosim.simulation import open_system, simulate
+from ndob_fmu.cosim.ssp import check_ssp, open_ssp, parameter_sets
 from ndob_fmu.cosim.system.loops import Loop, algebraic_loops
-from ndob_fmu.cosim.system.system import Connection, Port, System
+from ndob_fmu.cosim.system.ports import Connection, Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.results.recording import Recording
 
 __all__ = [
@@ -19,7 +20,6 @@ __all__ = [
     "Value",
     "Variable",
     "algebraic_loops",
-    "build_ssp",
     "check_ssp",
     "open_ssp",
     "open_system",

@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from ndob_fmu.cosim import Recording, System, Value, open_system, simulate
+from ndob_fmu.cosim.component import Value
+from ndob_fmu.cosim.simulation import open_system, simulate
 from ndob_fmu.cosim.system.inputs import read_inputs
 from ndob_fmu.cosim.system.picture import write_picture
-from ndob_fmu.cosim.system.system import Port
+from ndob_fmu.cosim.system.ports import Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.results import plots
-from ndob_fmu.results.recording import FailedRunError
+from ndob_fmu.results.recording import FailedRunError, Recording
 from ndob_fmu.results.run_files import SYSTEM_PICTURE, write_run
 from ndob_fmu.results.versions import software_versions
 from ndob_fmu.support.files import atomic_folder

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from ndob_fmu.report.lines import ERROR, ESTIMATE, MEASURED, TRUTH, Panels, magnitude
-from ndob_fmu.report.record import Record
+from ndob_fmu.report.recorded_run import RecordedRun
 from ndob_fmu.report.signals import usual_range
 from ndob_fmu.runtime.arrays import Array
 
@@ -29,14 +29,14 @@ class _Prediction:
     reason: str = ""
 
 
-def disturbance_figures(record: Record) -> Iterator[Figure]:
+def disturbance_figures(record: RecordedRun) -> Iterator[Figure]:
     """Yield each estimated disturbance with a band of ±2 std, and its error where the truth is recorded."""
     for component, disturbances in record.observers().items():
         for name in disturbances:
             yield _disturbance(record, component, name)
 
 
-def output_figures(record: Record) -> Iterator[Figure]:
+def output_figures(record: RecordedRun) -> Iterator[Figure]:
     """Yield each output beside what the observer predicts of it, and the residual on an axis of its own."""
     for component in record.observers():
         for residual in record.recording.names:
@@ -44,7 +44,7 @@ def output_figures(record: Record) -> Iterator[Figure]:
                 yield _output(record, component, residual[len(component) + 1 : -len(_RESIDUAL)])
 
 
-def state_figures(record: Record) -> Iterator[Figure]:
+def state_figures(record: RecordedRun) -> Iterator[Figure]:
     """Yield each estimated state beside the plant's, and their difference."""
     disturbances = {f"{part}.{name}_hat" for part, names in record.observers().items() for name in names}
     for estimate in record.recording.names:
@@ -62,7 +62,7 @@ def state_figures(record: Record) -> Iterator[Figure]:
         yield f"{estimate}, {truth}, and the difference between them.{' ' + _CUT if limits else ''}", panels.figure
 
 
-def input_figures(record: Record) -> Iterator[Figure]:
+def input_figures(record: RecordedRun) -> Iterator[Figure]:
     """Yield the recorded inputs: those from a file, and those of observers but for the measured outputs."""
     observed = record.observers()
     names = [*record.inputs, *(port for component in observed for port in record.driven(component))]
@@ -82,7 +82,7 @@ def input_figures(record: Record) -> Iterator[Figure]:
         yield "Inputs as they were recorded; each value is held until the next.", panels.figure
 
 
-def _disturbance(record: Record, component: str, name: str) -> Figure:
+def _disturbance(record: RecordedRun, component: str, name: str) -> Figure:
     estimate, std = record.recording[f"{component}.{name}_hat"], record.recording[f"{component}.{name}_std"]
     truth = record.truth(f"{component}.{name}_hat")
     true = None if truth is None else record.recording[truth]
@@ -106,7 +106,7 @@ def _disturbance(record: Record, component: str, name: str) -> Figure:
     return " ".join(filter(None, caption)), panels.figure
 
 
-def _quality(record: Record, component: str, error: Array, std: Array, unit: str) -> str:
+def _quality(record: RecordedRun, component: str, error: Array, std: Array, unit: str) -> str:
     """Return how large the error is in the second half, and how often it lies within the band: a start is no rule."""
     late = record.time >= 0.5 * (record.time[0] + record.time[-1])
     judged = late & np.isfinite(error) & ~_coasting(record, component)
@@ -119,7 +119,7 @@ def _quality(record: Record, component: str, error: Array, std: Array, unit: str
     )
 
 
-def _output(record: Record, component: str, name: str) -> Figure:
+def _output(record: RecordedRun, component: str, name: str) -> Figure:
     port = f"{component}.{name}"
     residual = record.recording[f"{port}{_RESIDUAL}"]
     measured = record.input(port)
@@ -160,7 +160,7 @@ def _output(record: Record, component: str, name: str) -> Figure:
     return " ".join(filter(None, caption)), panels.figure
 
 
-def _prediction(record: Record, port: str, measured: Array | None, residual: Array) -> _Prediction:
+def _prediction(record: RecordedRun, port: str, measured: Array | None, residual: Array) -> _Prediction:
     """Return ŷ = y − (y − ŷ): no FMU has it as an output.
 
     The residual in row k is of the sample with which the step that ends there began, one step earlier; of that at the
@@ -178,7 +178,7 @@ def _prediction(record: Record, port: str, measured: Array | None, residual: Arr
     return _Prediction(samples, ends, measured[samples] - residual[ends])
 
 
-def _shade_invalid(record: Record, component: str, panels: Panels) -> str:
+def _shade_invalid(record: RecordedRun, component: str, panels: Panels) -> str:
     coasting = _coasting(record, component)
     if not coasting.any():
         return ""
@@ -186,7 +186,7 @@ def _shade_invalid(record: Record, component: str, panels: Panels) -> str:
     return f"Shaded: valid is false, the estimate coasts ({100 * float(np.mean(coasting)):.2g} % of the rows)."
 
 
-def _coasting(record: Record, component: str) -> NDArray[np.bool_]:
+def _coasting(record: RecordedRun, component: str) -> NDArray[np.bool_]:
     """Return in which rows `valid` is false, (rows,), after steps in which no sample could be used."""
     valid = record.get(f"{component}.valid")
     coasting = np.zeros(len(record.time), dtype=bool) if valid is None else np.asarray(valid < 0.5)
@@ -194,9 +194,9 @@ def _coasting(record: Record, component: str) -> NDArray[np.bool_]:
     return coasting
 
 
-def _label(record: Record, name: str) -> str:
+def _label(record: RecordedRun, name: str) -> str:
     return f"{name.partition('.')[2]} [{_unit(record, name)}]"
 
 
-def _unit(record: Record, name: str) -> str:
+def _unit(record: RecordedRun, name: str) -> str:
     return record.units.get(name) or "1"

@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 
 from ndob_fmu.errors import UsageError
 from ndob_fmu.report.content import Content
-from ndob_fmu.report.run import run_content
+from ndob_fmu.report.run_page import run_content
 from ndob_fmu.results.run_files import SYSTEM_PICTURE
 from ndob_fmu.support.extras import extra
 from ndob_fmu.support.files import atomic_path
@@ -43,7 +43,7 @@ def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
 def _content(folder: Path) -> Content:
     if (folder / "study.json").exists():
         with extra("study"):
-            from ndob_fmu.report.study import study_content
+            from ndob_fmu.report.study_page import study_content
         return study_content(folder)
     if (folder / "result.csv").exists():
         return run_content(folder)

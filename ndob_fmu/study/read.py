@@ -11,12 +11,12 @@ from typing import Any
 from ndob_fmu.cosim import System, Value, open_system
 from ndob_fmu.cosim.master.schemes import SCHEMES
 from ndob_fmu.errors import UsageError, nearest, one_of
+from ndob_fmu.study.checks import check_coupling, check_names, check_times, outputs, resolver, unit_of
 from ndob_fmu.study.columns import RESERVED, over_time
-from ndob_fmu.study.description import STEP_SIZE, Simulation, Study
 from ndob_fmu.study.measures import SETTLING_TIME, TAKES, Measure
-from ndob_fmu.study.names import check_coupling, check_names, check_times, outputs, resolver, unit_of
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.read_tables import KINDS, flat, read_tables
+from ndob_fmu.study.study import STEP_SIZE, Simulation, Study
 from ndob_fmu.study.toml_file import Section, read_toml
 
 _SECTIONS = ("system", "seed", "record", "simulation", "fixed", *KINDS, "measures")

@@ -13,7 +13,7 @@ from ndob_fmu.cosim import FmuComponent, System, open_system, simulate
 from ndob_fmu.errors import NdobError
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
-from ndob_fmu.study.description import STEP_SIZE, Study
+from ndob_fmu.study.study import STEP_SIZE, Study
 
 _MOST_OF_A_REASON = 500
 

@@ -23,7 +23,6 @@ from ndob_fmu.errors import NdobError, UsageError, some_of
 from ndob_fmu.results.json_files import json_value, write_sealed_json
 from ndob_fmu.results.run_files import SYSTEM_PICTURE
 from ndob_fmu.study.columns import ENDED_AT, FAILED, REASON, RUN, TIME, WALL_TIME, over_time
-from ndob_fmu.study.description import Study
 from ndob_fmu.study.plan import PLAN, read_plan
 from ndob_fmu.study.shards import (
     DamagedShardError,
@@ -34,6 +33,7 @@ from ndob_fmu.study.shards import (
     unfinished_paths,
     write_shard,
 )
+from ndob_fmu.study.study import Study
 
 _DAMAGED = "damaged"
 _log = logging.getLogger(__name__)

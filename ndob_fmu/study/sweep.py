@@ -17,10 +17,10 @@ from distributed import Client, Future, TimeoutError, wait  # noqa: A004 # Pytho
 from ndob_fmu.cosim.master.progress_bar import tqdm
 from ndob_fmu.errors import NdobError, SimulationError
 from ndob_fmu.study.columns import FAILED, REASON, RUN, WALL_TIME
-from ndob_fmu.study.description import Study
 from ndob_fmu.study.lock import locked
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.store import Store
+from ndob_fmu.study.study import Study
 from ndob_fmu.study.workers import StudyPlugin, connected, run_batch
 from ndob_fmu.support.interrupts import check_interrupt
 

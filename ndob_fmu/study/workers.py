@@ -18,8 +18,8 @@ import dask
 from distributed import Client, LocalCluster, Security, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
 
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
-from ndob_fmu.study.description import Study
 from ndob_fmu.study.session import Session
+from ndob_fmu.study.study import Study
 from ndob_fmu.support.interrupts import held
 from ndob_fmu.support.temporary import make_folder, remove_folder, temporary_folder
 

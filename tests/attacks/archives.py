@@ -24,6 +24,7 @@ from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu.cosim import System, check_ssp, simulate
 from ndob_fmu.errors import NdobError
+from ndob_fmu.packages import write_ssp
 
 from .options import closing_line, read_options
 
@@ -228,7 +229,7 @@ class Target:
         self.folder = folder
         self.fmu = (folder / "Gain.fmu").read_bytes()
         system = System().add("gain", folder / "Gain.fmu", {"a": 1.0, "b": 2.0})
-        self.package = system.write(folder / "sound.ssp", stop_time=1.0, step_size=0.5).read_bytes()
+        self.package = write_ssp(system, folder / "sound.ssp", stop_time=1.0, step_size=0.5).read_bytes()
         sound = {"fmu": self.fmu, "ssp": self.package}
         self.expected = {kind: self.run(self.write(data, kind)) for kind, data in sound.items()}
 

@@ -12,8 +12,9 @@ import pytest
 from fmpy.util import read_csv
 
 from ndob_fmu.cli import main
-from ndob_fmu.cosim import FmuComponent, System, Variable, algebraic_loops, build_ssp, simulate
+from ndob_fmu.cosim import FmuComponent, System, Variable, algebraic_loops, simulate
 from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.packages import build_ssp
 from tests.helpers.coupling_fmus import coupling_fmus
 from tests.helpers.mock_components import Mock, constant, gain, integrator, ramp
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
 
-from ndob_fmu.cosim import FmuComponent, System, build_ssp, open_ssp, simulate
+from ndob_fmu.cosim import FmuComponent, System, open_ssp, simulate
 from ndob_fmu.errors import CouplingError, SimulationError, UsageError
+from ndob_fmu.packages import build_ssp
 from tests.helpers.coupling_fmus import coupling_fmus
 
 pytestmark = pytest.mark.usefixtures("nothing_left_behind")

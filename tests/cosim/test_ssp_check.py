@@ -12,6 +12,7 @@ from ndob_fmu.cli import main
 from ndob_fmu.cosim import System, check_ssp, simulate
 from ndob_fmu.cosim.system.picture import draw_system
 from ndob_fmu.errors import UsageError
+from ndob_fmu.packages import write_ssp
 from tests.cosim.test_coupling_order import declared, unknowns
 from tests.helpers.coupling_fmus import coupling_fmus
 from tests.helpers.ssp_text import (
@@ -287,5 +288,5 @@ def test_loops_that_the_fmus_declare_are_named(tmp_path_factory, tmp_path):
     through = [unknowns("Outputs", dependencies="1"), unknowns("InitialUnknowns", dependencies="1")]
     path = declared(coupling_fmus(tmp_path_factory.getbasetemp()) / "Gain.fmu", tmp_path / "Gain.fmu", through)
     system = System().add("one", path, {"b": 0.0}).add("two", path, {"b": 0.0})
-    loop = system.connect("one.y", "two.a").connect("two.y", "one.a").write(tmp_path / "loop.ssp")
+    loop = write_ssp(system.connect("one.y", "two.a").connect("two.y", "one.a"), tmp_path / "loop.ssp")
     assert check_ssp(loop).rows[-1].found == "one.y → two.a → two.y → one.a → one.y"

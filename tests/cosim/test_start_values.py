@@ -8,8 +8,8 @@ import zipfile
 import fmpy
 import pytest
 
-from ndob_fmu.cosim.fmi.start_values import with_start_values
 from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.packages import with_start_values
 from tests.helpers.clean_process import fmpy as fmpy_command
 from tests.helpers.fmi_instance import ERROR, OK, opened
 from tests.helpers.native_host import compile_host, unpack

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ndob_fmu.cosim import FmuComponent, System, build_ssp
-from ndob_fmu.cosim.fmi.start_values import with_start_values
+from ndob_fmu.cosim import FmuComponent, System
+from ndob_fmu.packages import build_ssp, with_start_values, write_ssp
 from ndob_fmu.support.shipped import shipped_folder
 from tests.helpers import fmi_instance
 from tests.helpers.clean_process import ENVIRONMENT, run_clean
@@ -234,4 +234,4 @@ def _packed(study: Study, folder: Path) -> Path:
         system = system.add(name, path, values)
     for source, target in study.connections:
         system = system.connect(source, target)
-    return system.write(folder / "study.ssp", parameter_set=study.parameter_set)
+    return write_ssp(system, folder / "study.ssp", parameter_set=study.parameter_set)

@@ -15,7 +15,7 @@ from pathlib import Path
 from fmpy.validation import validate_fmu
 
 from ndob_fmu import build, load_model
-from ndob_fmu.cosim import build_ssp
+from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.shipped import shipped_folder
 from tests.fmu.test_description import toolbox_findings

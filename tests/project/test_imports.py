@@ -82,8 +82,9 @@ ALLOWED = {
     "cosim": (*LEAVES, "runtime.base_errors", "results"),
     "study": (*LEAVES, "results", "cosim"),
     "report": (*LEAVES, "results", "study"),
+    "packages": (*LEAVES, "fmu", "cosim"),
     "demo": (*LEAVES, "results", "cosim"),
-    "cli": (*LEAVES, "model", "analysis", "fmu", "results", "cosim", "study", "report", "demo"),
+    "cli": (*LEAVES, "model", "analysis", "fmu", "results", "cosim", "packages", "study", "report", "demo"),
     "__main__": ("cli",),
 }
 
@@ -95,6 +96,32 @@ def test_a_folder_imports_only_those_before_it_on_the_way_of_the_data(name):
     allowed = ["ndob_fmu", f"ndob_fmu.{room}", *(f"ndob_fmu.{other}" for other in ALLOWED[room])]
     own = {imported for imported in imports(MODULES[name]) if within(imported, "ndob_fmu")}
     assert [imported for imported in own if imported != "ndob_fmu" and not within(imported, *allowed[1:])] == []
+
+
+# The same inside a folder: what each of its parts may import of the others.
+_COSIM_BASE = ("component", "values", "clock", "default_experiment")
+ALLOWED_INSIDE = {
+    "cosim": {
+        **dict.fromkeys(_COSIM_BASE, ("component",)),
+        "fmi": _COSIM_BASE,
+        "system": (*_COSIM_BASE, "fmi"),
+        "master": (*_COSIM_BASE, "system"),
+        "ssp": (*_COSIM_BASE, "fmi", "system"),
+        "simulation": (*_COSIM_BASE, "fmi", "system", "master", "ssp"),
+        "run_folder": (*_COSIM_BASE, "system", "simulation"),
+    },
+}
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in MODULES if name.count(".") > 1 and name.split(".")[1] in ALLOWED_INSIDE]
+)
+def test_a_part_of_a_folder_imports_only_those_before_it(name):
+    """So what a design computes once knows nothing of the steps, and the numerical methods nothing of the plant."""
+    _, folder, part = name.split(".")[:3]
+    allowed = [f"ndob_fmu.{folder}.{other}" for other in (part, *ALLOWED_INSIDE[folder][part])]
+    own = {imported for imported in imports(MODULES[name]) if within(imported, f"ndob_fmu.{folder}")}
+    assert [imported for imported in own if not within(imported, *allowed)] == []
 
 
 @pytest.mark.parametrize(

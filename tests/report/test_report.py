@@ -14,7 +14,7 @@ from ndob_fmu.cli import main
 from ndob_fmu.errors import UsageError
 from ndob_fmu.report import write_report
 from ndob_fmu.report.observers import disturbance_figures, input_figures, output_figures
-from ndob_fmu.report.record import Record, read_record
+from ndob_fmu.report.recorded_run import RecordedRun, read_recorded_run
 from ndob_fmu.report.signals import estimates, spans, thinned, usual_range
 from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.results.plots import decades
@@ -265,7 +265,7 @@ def caption_and_lines(figures):
 
 
 def test_the_band_of_an_estimate_is_two_standard_deviations_and_the_caption_counts_what_lies_in_it(run):
-    record = read_record(run)
+    record = read_recorded_run(run)
     signal = record.recording
     estimate, std = signal["observer.load_torque_hat"], signal["observer.load_torque_std"]
     caption, lines = caption_and_lines(disturbance_figures(record))
@@ -280,7 +280,7 @@ def test_the_band_of_an_estimate_is_two_standard_deviations_and_the_caption_coun
 
 def test_the_prediction_of_an_output_is_the_sample_minus_its_residual_one_step_later(run):
     """The outputs of the example are states, whose predictions are recorded too: the two must be the same."""
-    _, lines = caption_and_lines(output_figures(read_record(run)))
+    _, lines = caption_and_lines(output_figures(read_recorded_run(run)))
     signal = read_csv(run / "result.csv")
     x, y = lines["predicted motor_angle"]
     rows = np.round(x / 1e-3).astype(int)
@@ -302,7 +302,7 @@ def test_a_sample_belongs_to_the_start_of_a_step_unless_its_driver_has_stepped_b
     summary = {**summary, "connections": {"observer.angle": ["plant.y", 2.0, 0.0]}}
     summary["order"] = ["plant", "observer"] if driver_first else []
     columns[:, [3]] *= 2.0
-    caption, lines = caption_and_lines(output_figures(Record(Recording(time, names, columns), {}, summary)))
+    caption, lines = caption_and_lines(output_figures(RecordedRun(Recording(time, names, columns), {}, summary)))
     np.testing.assert_allclose(lines["measured angle"][1], 2.0 * y)
     if reason:
         assert reason in caption
@@ -329,7 +329,7 @@ def test_residuals_have_a_band_where_the_observer_says_what_to_expect_and_a_reas
     )
     columns = np.column_stack([np.zeros(4), np.ones(4), [0.1, -0.1, 0.5, 0.0], np.full(4, std or 0.0)])
     recording = Recording(np.arange(4.0), tuple(names), columns[:, : len(names)])
-    caption, lines = caption_and_lines(output_figures(Record(recording)))
+    caption, lines = caption_and_lines(output_figures(RecordedRun(recording)))
     assert words in caption
     assert ("± 2 std expected" in lines) == bool(std)
     if std:
@@ -343,7 +343,7 @@ def test_the_inputs_of_a_replayed_log_are_kept_and_shown(flexible_joint, tmp_pat
     assert main(["simulate", str(flexible_joint.observer), *words, "--results", str(tmp_path / "run")]) == 0
     kept = read_csv(tmp_path / "run" / "inputs.csv")
     np.testing.assert_array_equal(kept["FlexibleJointObserver.motor_torque"], np.arange(101) % 7)
-    record = read_record(tmp_path / "run")
+    record = read_recorded_run(tmp_path / "run")
     _, lines = caption_and_lines(input_figures(record))
     np.testing.assert_allclose(lines["FlexibleJointObserver.motor_torque"][1], np.arange(101) % 7)
     caption, lines = caption_and_lines(output_figures(record))

@@ -11,6 +11,7 @@ import pytest
 
 from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.errors import CouplingError, UsageError
+from ndob_fmu.packages import write_ssp
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.study import read_study
 from ndob_fmu.study.measures import TAKES, Measure
@@ -198,7 +199,7 @@ def test_workers_do_not_repeat_warnings_run_by_run(fmus, tmp_path):
     before = log.level
     try:
         plugin.setup(None)
-        assert not logging.getLogger("ndob_fmu.cosim.run").isEnabledFor(logging.WARNING)
+        assert not logging.getLogger("ndob_fmu.cosim.simulation").isEnabledFor(logging.WARNING)
     finally:
         plugin.teardown(None)
         log.setLevel(before)
@@ -214,7 +215,7 @@ def test_a_tolerance_of_a_study_that_is_not_a_positive_number_is_refused(fmus, t
 def test_components_keep_their_own_step_where_the_communication_step_varies(fmus, tmp_path):
     system = System().add("slow", fmus / "Integrator.fmu", {"u": 1.0}, step_ratio=2)
     system = system.add("fast", fmus / "Integrator.fmu", {"u": 1.0})
-    path = system.write(tmp_path / "rates.ssp", stop_time=2.0, step_size=0.25)
+    path = write_ssp(system, tmp_path / "rates.ssp", stop_time=2.0, step_size=0.25)
     text = f'system = "{path}"\n[grid]\nstep_size = [0.25, 0.125, 0.5]\n'
     study = read_study(write(tmp_path, "rates", text.replace("{", "{{").replace("}", "}}"), fmus))
     session = Session(study, {study.system: path})

@@ -1,7 +1,7 @@
 """System structure packages (SSP 1.0): read, written, packed and checked."""
 
 from ndob_fmu.cosim.ssp.check import check_ssp
-from ndob_fmu.cosim.ssp.pack import build_ssp, parameter_sets
+from ndob_fmu.cosim.ssp.pack import parameter_sets
 from ndob_fmu.cosim.ssp.read import open_ssp
 
-__all__ = ["build_ssp", "check_ssp", "open_ssp", "parameter_sets"]
+__all__ = ["check_ssp", "open_ssp", "parameter_sets"]

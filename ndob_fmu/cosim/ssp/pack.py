@@ -3,37 +3,42 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeAlias
 from urllib.parse import unquote
 
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.fmi.archive import open_archive
-from ndob_fmu.cosim.fmi.start_values import with_start_values
-from ndob_fmu.cosim.ssp.default_experiment import read_experiment
-from ndob_fmu.cosim.ssp.identifiers import plain
+from ndob_fmu.cosim.ssp.file_names import plain
 from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX, SSD_NAME, Element, child, parse
 from ndob_fmu.cosim.ssp.structure import components
+from ndob_fmu.cosim.ssp.timing import read_experiment
 from ndob_fmu.errors import CouplingError, UsageError, one_of
 from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.temporary import temporary_folder
 
+# An FMU's file, start values of its variables → the file of the same FMU that starts with these values.
+Restart: TypeAlias = Callable[[Path, Mapping[str, Value]], bytes]
+
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
 
 
-def build_ssp(
-    folder: str | Path, fmu_dir: str | Path, out_dir: str | Path, *, parameter_set: str | None = None
+def as_built(fmu: Path, values: Mapping[str, Value]) -> bytes:
+    """Return an FMU's file unchanged: its start values are said in the parameter sets of the package only."""
+    return fmu.read_bytes()
+
+
+def pack_folder(
+    folder: str | Path,
+    fmu_dir: str | Path,
+    out_dir: str | Path,
+    *,
+    parameter_set: str | None = None,
+    restart: Restart = as_built,
 ) -> Path:
-    """Pack ``folder`` (SystemStructure.ssd, .ssv, .ssm and .ssb files) with its FMUs: ``out_dir/<folder's name>.ssp``.
-
-    parameter_set: a folder inside, whose files replace those beside it; its name goes to that of the package.
-
-    The FMUs are those the .ssd names, taken from ``fmu_dir``: ``resources/plant_Arm.fmu`` of the component ``plant`` is
-    Arm.fmu there, unless there is a plant_Arm.fmu. FMUs that were built by this package get the start values of the
-    system, for tools that do not read them. The same files give the same bytes. Raises UsageError if the folder has no
-    .ssd or the package cannot be written, CouplingError if an FMU is missing or the system cannot be run.
-    """
+    """Pack a folder with its FMUs; `ndob_fmu.packages.build_ssp` documents the other arguments and the errors."""
     folder, fmu_dir = Path(folder), Path(fmu_dir)
     description = folder / SSD_NAME
     if not description.is_file():
@@ -55,7 +60,7 @@ def build_ssp(
                 str(description), expected=f"{fmu.name} in {fmu_dir}", received="no such file", likely="not built yet"
             )
         files[source] = fmu.read_bytes()
-    return write_package(Path(out_dir) / f"{name}.ssp", files)
+    return write_package(Path(out_dir) / f"{name}.ssp", files, restart)
 
 
 def parameter_sets(folder: str | Path) -> list[str]:
@@ -67,18 +72,18 @@ def _descriptions(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in ROOTS_BY_SUFFIX}
 
 
-def write_package(target: Path, files: Mapping[str, bytes]) -> Path:
-    """Write these files as a package, with the start values of the system also in its FMUs.
+def write_package(target: Path, files: Mapping[str, bytes], restart: Restart) -> Path:
+    """Write these files as a package, whose FMUs ``restart`` gives the start values of the system.
 
     The same files give the same bytes. Raises UsageError if it cannot be written, CouplingError if it could not be run.
     """
     with atomic_path(target) as temporary:
         _zip(temporary, files)
-        _zip(temporary, {**files, **_started(target, temporary)})
+        _zip(temporary, {**files, **_started(target, temporary, restart)})
     return target
 
 
-def _started(target: Path, written: Path) -> dict[str, bytes]:
+def _started(target: Path, written: Path, restart: Restart) -> dict[str, bytes]:
     """Return the FMUs of a package with its start values; of several that use one FMU, those on which all agree."""
     with temporary_folder() as folder, open_archive(written) as archive:
         package = Package(target, archive)
@@ -90,7 +95,7 @@ def _started(target: Path, written: Path) -> dict[str, bytes]:
             own = {port.variable: value for port, value in system.start_values.items() if port.component == name}
             values[source] = dict(values.get(source, own).items() & own.items())
         return {
-            source: with_start_values(parts[name].path, dict(sorted(values[source].items())))
+            source: restart(parts[name].path, dict(sorted(values[source].items())))
             for name, source in _sources(root).items()
         }
 

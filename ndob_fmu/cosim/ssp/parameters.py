@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from ndob_fmu.cosim.component import Value
+from ndob_fmu.cosim.ssp.scaling import Units, linear, read_units, suppressed, unit_of
 from ndob_fmu.cosim.ssp.schema import Element, child, children, local_name
 from ndob_fmu.cosim.ssp.structure import End, Node, Structure, join
-from ndob_fmu.cosim.ssp.support import TYPES
-from ndob_fmu.cosim.ssp.unit_elements import Units, linear, read_units, suppressed, unit_of
-from ndob_fmu.cosim.system.system import Link, Port, System
+from ndob_fmu.cosim.ssp.supported import TYPES
+from ndob_fmu.cosim.system.ports import Link, Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, UsageError, one_of
 from ndob_fmu.support.units import Unit

@@ -12,22 +12,23 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.archive import Archive, open_archive
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
-from ndob_fmu.cosim.ssp.default_experiment import read_experiment, read_step_ratios
 from ndob_fmu.cosim.ssp.parameters import start_values
+from ndob_fmu.cosim.ssp.scaling import Units, read_units
 from ndob_fmu.cosim.ssp.schema import NAMESPACES, ROOTS_BY_SUFFIX, SSD_NAME, Element, child, local_name, parse
 from ndob_fmu.cosim.ssp.structure import Structure, components, read_structure
-from ndob_fmu.cosim.ssp.support import check_supported
-from ndob_fmu.cosim.ssp.unit_elements import Units, read_units
-from ndob_fmu.cosim.system.system import Port, System
+from ndob_fmu.cosim.ssp.supported import check_supported
+from ndob_fmu.cosim.ssp.timing import read_experiment, read_step_ratios
+from ndob_fmu.cosim.system.ports import Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.errors import CouplingError, NdobError, some_of
 from ndob_fmu.support.temporary import temporary_folder
 
 
 @contextmanager
-def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple[System, Experiment]]:
+def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple[System, DefaultExperiment]]:
     """Give the system in the package and its default experiment; its FMUs lie in a temporary folder until the end.
 
     step_size: the communication step (s), by default that of the experiment, of which the components' own steps are

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ndob_fmu.cosim.component import Variable
+from ndob_fmu.cosim.ssp.scaling import Units, linear, suppressed, unit_of
 from ndob_fmu.cosim.ssp.schema import Element, children, local_name
-from ndob_fmu.cosim.ssp.support import TYPES, label
-from ndob_fmu.cosim.ssp.unit_elements import Units, linear, suppressed, unit_of
-from ndob_fmu.cosim.system.system import Connection, Link, Port
+from ndob_fmu.cosim.ssp.supported import TYPES, label
+from ndob_fmu.cosim.system.ports import Connection, Link, Port
 from ndob_fmu.errors import CouplingError, NdobError, one_of, some_of
 from ndob_fmu.support.units import Unit
 

@@ -12,35 +12,43 @@ from dataclasses import replace
 from pathlib import Path
 
 from ndob_fmu.cosim.component import Value, Variable
-from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.ssp import markup
-from ndob_fmu.cosim.ssp.identifiers import FileNames, plain
+from ndob_fmu.cosim.ssp.file_names import FileNames, plain
 from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
-from ndob_fmu.cosim.ssp.pack import write_package
+from ndob_fmu.cosim.ssp.pack import Restart, as_built, write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
-from ndob_fmu.cosim.ssp.support import FMU_TYPE
-from ndob_fmu.cosim.system.system import Link, Port, System
+from ndob_fmu.cosim.ssp.supported import FMU_TYPE
+from ndob_fmu.cosim.system.ports import AS_IT_IS, Link, Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.system.wiring import keep_start_values, undriven_inputs
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, ModelError, UsageError
 from ndob_fmu.support.units import BaseUnit, base_unit
 
 _log = logging.getLogger(__name__)
-_ASIS = (1.0, 0.0)
 
 
-def write_ssp(system: System, path: Path, experiment: Experiment, parameter_set: str, description: str) -> Path:
-    """Write the package; `System.write` documents arguments and errors."""
+def write_system(
+    system: System,
+    path: Path,
+    experiment: DefaultExperiment,
+    parameter_set: str,
+    description: str,
+    restart: Restart = as_built,
+) -> Path:
+    """Write the package; `ndob_fmu.write_ssp` documents arguments and errors."""
     if path.suffix != ".ssp":
         raise UsageError.report(str(path), expected="the path of an .ssp", received=repr(path.suffix))
     files = describe(system, path.stem, experiment, parameter_set, description)
     fmus = _fmus(system)
-    return write_package(path, files | {entry: fmus[name].read_bytes() for name, entry in _entries(fmus).items()})
+    files |= {entry: fmus[name].read_bytes() for name, entry in _entries(fmus).items()}
+    return write_package(path, files, restart)
 
 
 def describe(
-    system: System, name: str, experiment: Experiment, parameter_set: str, description: str
+    system: System, name: str, experiment: DefaultExperiment, parameter_set: str, description: str
 ) -> dict[str, bytes]:
     """Return the XML files of the package by their names.
 
@@ -93,7 +101,7 @@ class _Writer:
         self._files: dict[str, Element] = {}
         self._units: dict[str, BaseUnit] = {}
 
-    def files(self, experiment: Experiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
+    def files(self, experiment: DefaultExperiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
         """Return the texts of all files."""
         system = self._system
         prefixes = ("ssd", "ssc", "ssv", "ssm", *TOOLS)
@@ -179,7 +187,7 @@ class _Writer:
 
     def _seen(self, link: Link) -> Variable:
         variable = self._system.variable(link.port)
-        if link[1:] == _ASIS:
+        if link[1:] == AS_IT_IS:
             return variable
         return Variable(variable.name, variable.causality, variable.type)
 
@@ -189,7 +197,7 @@ class _Writer:
         given = system.start_values.get(first.port, system.variable(first.port).start)
         if given is None:
             raise CouplingError.report(f"input {name}", expected=f"a start value for {first.port}", received="none")
-        value = given if first[1:] == _ASIS else (float(given) - first.offset) / first.factor
+        value = given if first[1:] == AS_IT_IS else (float(given) - first.offset) / first.factor
         for port, expected in system.starts(name, value).items():
             actual = system.start_values.get(port, expected)
             if convert(system.variable(port), actual, name) != expected and port != first.port:
@@ -282,7 +290,7 @@ def _literal(variable: Variable, value: Value) -> str:
 
 def _transform(element: Element, factor: float, offset: float) -> None:
     """Write what a value becomes; it has the conversion of units in it, which not every tool would make."""
-    if (factor, offset) != _ASIS:
+    if (factor, offset) != AS_IT_IS:
         element.set("suppressUnitConversion", "true")
         add(element, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
 
@@ -291,7 +299,7 @@ def _port(end: str, port: Port) -> dict[str, str]:
     return {f"{end}Element": port.component, f"{end}Connector": port.variable}
 
 
-def _experiment(root: Element, experiment: Experiment) -> None:
+def _experiment(root: Element, experiment: DefaultExperiment) -> None:
     times = {"startTime": experiment.start_time, "stopTime": experiment.stop_time}
     element = add(root, "ssd:DefaultExperiment", **{k: f"{v!r}" for k, v in times.items() if v is not None})
     if experiment.step_size is not None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ndob_fmu.cosim.clock import Clock
-from ndob_fmu.cosim.system.system import Link, Port, System
+from ndob_fmu.cosim.system.ports import Link, Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.runtime.arrays import Array

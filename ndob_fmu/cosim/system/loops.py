@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ndob_fmu.cosim.system.system import Port, System
+from ndob_fmu.cosim.system.ports import Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.errors import some_of
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 
 from lxml import etree
 
-from ndob_fmu.cosim.system.system import Connection, System
+from ndob_fmu.cosim.system.ports import AS_IT_IS, Connection
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.errors import UsageError
 from ndob_fmu.support.files import atomic_path
 
 _LINE, _LETTER, _PAD = 15.0, 7.2, 14.0  # px: between lines of text, the width of a letter, around it
 _SVG = "http://www.w3.org/2000/svg"
 _INK, _FACE, _SIGNAL = "#1f4e79", "#eaf2fa", "#7a3e00"
-_ASIS = (1.0, 0.0)
 
 
 def write_picture(path: str | Path, system: System, title: str) -> Path:
@@ -77,7 +77,7 @@ def _named(connection: Connection) -> str:
 
 def _line(source: str, target: str, factor: float, offset: float) -> str:
     text = source if source == target else f"{source} → {target}"
-    if (factor, offset) == _ASIS:
+    if (factor, offset) == AS_IT_IS:
         return text
     return f"{text} (· {factor:g}{f' {offset:+g}' if offset else ''})"
 

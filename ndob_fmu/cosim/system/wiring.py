@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ndob_fmu.cosim.component import Component, Value, Variable, recordable
 from ndob_fmu.cosim.system.inputs import InputTable
-from ndob_fmu.cosim.system.system import Connection, Port, System
+from ndob_fmu.cosim.system.ports import Connection, Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.errors import CouplingError, NdobError, UsageError, some_of
 from ndob_fmu.runtime.arrays import Array
 

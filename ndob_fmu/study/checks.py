@@ -10,15 +10,15 @@ from typing import Any
 from ndob_fmu.cosim import System, Value
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import recordable
-from ndob_fmu.cosim.experiment import Experiment
-from ndob_fmu.cosim.run import warn
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
+from ndob_fmu.cosim.simulation import warn
 from ndob_fmu.cosim.system.inputs import NO_INPUTS, read_inputs
-from ndob_fmu.cosim.system.system import Port
+from ndob_fmu.cosim.system.ports import Port
 from ndob_fmu.cosim.system.wiring import wire
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
-from ndob_fmu.study.description import STEP_SIZE, Simulation
 from ndob_fmu.study.points import Points
+from ndob_fmu.study.study import STEP_SIZE, Simulation
 from ndob_fmu.study.toml_file import Section
 
 
@@ -47,7 +47,7 @@ def check_names(file: Section, system: System, points: Points, fixed: Mapping[st
 
 
 def check_times(
-    file: Section, experiment: Experiment, simulation: Simulation, points: Points
+    file: Section, experiment: DefaultExperiment, simulation: Simulation, points: Points
 ) -> tuple[list[float], float]:
     """Return the step sizes of the study and the least time of a last row (s).
 

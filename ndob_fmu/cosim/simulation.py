@@ -13,13 +13,14 @@ import numpy as np
 
 from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Value
-from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
-from ndob_fmu.cosim.master import master
+from ndob_fmu.cosim.master import fixed_step
 from ndob_fmu.cosim.ssp import open_ssp
 from ndob_fmu.cosim.system.inputs import NO_INPUTS, read_inputs
 from ndob_fmu.cosim.system.loops import algebraic_loops
-from ndob_fmu.cosim.system.system import Port, System
+from ndob_fmu.cosim.system.ports import Port
+from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.system.wiring import Wiring, keep_start_values, wire
 from ndob_fmu.errors import UsageError, shortened
 from ndob_fmu.results.recording import FailedRunError, Recording
@@ -84,7 +85,7 @@ def simulate(
         wiring = wire(opened, table, starts, order, strict=strict)
         warn(wiring)
         try:
-            found = master.run(wiring, clock, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
+            found = fixed_step.run(wiring, clock, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
         except FailedRunError as error:
             error.recording = error.recording and _with_outputs(opened, error.recording)
             raise
@@ -148,14 +149,16 @@ def warn(wiring: Wiring) -> None:
 
 
 @contextmanager
-def open_system(system: System | str | Path, step_size: float | None = None) -> Iterator[tuple[System, Experiment]]:
+def open_system(
+    system: System | str | Path, step_size: float | None = None
+) -> Iterator[tuple[System, DefaultExperiment]]:
     """Give the System itself, or the one behind the path of an .ssp or .fmu, with the default experiment, if any.
 
     step_size: the communication step (s), by default that of the experiment, of which an .ssp's components' own steps
     are multiples.
     """
     if isinstance(system, System):
-        yield system, Experiment()
+        yield system, DefaultExperiment()
     elif Path(system).suffix == ".ssp":
         with open_ssp(system, step_size) as opened:
             yield opened

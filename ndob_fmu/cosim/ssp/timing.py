@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.ssp.schema import Element, child, children, local_name
 from ndob_fmu.cosim.ssp.structure import components
 from ndob_fmu.cosim.values import finite_number
@@ -12,16 +12,16 @@ _OSP = "com.opensimulationplatform"
 _ROUNDING = 1e-6  # of a ratio: two step sizes, each rounded to the digits of a file
 
 
-def read_experiment(where: str, root: Element) -> Experiment:
+def read_experiment(where: str, root: Element) -> DefaultExperiment:
     """Return start and stop time, and the step size from the annotation of the Open Simulation Platform.
 
     Raises CouplingError if one of them is not a finite number.
     """
     experiment = child(root, "ssd:DefaultExperiment")
     if experiment is None:
-        return Experiment()
+        return DefaultExperiment()
     algorithm = _annotated(experiment, "FixedStepAlgorithm")
-    return Experiment(
+    return DefaultExperiment(
         _seconds(where, experiment, "startTime"),
         _seconds(where, experiment, "stopTime"),
         None if algorithm is None else _seconds(where, algorithm, "baseStepSize"),

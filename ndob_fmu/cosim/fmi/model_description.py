@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from fmpy.model_description import read_model_description
 
 from ndob_fmu.cosim.component import Variable
-from ndob_fmu.cosim.experiment import Experiment
+from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.archive import open_archive
 from ndob_fmu.cosim.values import convert, finite_number
 from ndob_fmu.errors import CouplingError, some_of
@@ -18,17 +18,17 @@ from ndob_fmu.support.units import BASE_UNITS, BaseUnit
 
 
 @dataclass(frozen=True)
-class FmuDescription:
+class ModelDescription:
     """What the master needs of ``modelDescription.xml``; references: value reference of each variable."""
 
     guid: str
     model_identifier: str
     variables: tuple[Variable, ...]
     references: dict[str, int]
-    experiment: Experiment
+    experiment: DefaultExperiment
 
 
-def read_description(path: Path) -> FmuDescription:
+def read_description(path: Path) -> ModelDescription:
     """Read the model description of an FMI 2.0 co-simulation FMU.
 
     Raises UsageError if there is no such file, CouplingError if it is not such an FMU.
@@ -50,7 +50,7 @@ def read_description(path: Path) -> FmuDescription:
     except Exception as error:  # fmpy raises plain Exception, and whatever its parser stumbles over
         received = str(error).partition("\n")[0] or repr(error)
         raise CouplingError.report(str(path), expected="a readable modelDescription.xml", received=received) from error
-    return FmuDescription(
+    return ModelDescription(
         model.guid,
         model.coSimulation.modelIdentifier,
         _variables(model, path),
@@ -128,12 +128,12 @@ def _base_unit(entry: Any) -> BaseUnit | None:
     )
 
 
-def _experiment(entry: Any, path: Path) -> Experiment:
+def _experiment(entry: Any, path: Path) -> DefaultExperiment:
     if entry is None:
-        return Experiment()
+        return DefaultExperiment()
     start, stop, step, tolerance = (
         finite_number(f"{path}, {name} of DefaultExperiment", getattr(entry, name))
         for name in ("startTime", "stopTime", "stepSize", "tolerance")
     )
     # A tolerance of zero is what some exporters write for none.
-    return Experiment(start, stop, step, tolerance if tolerance and tolerance > 0 else None)
+    return DefaultExperiment(start, stop, step, tolerance if tolerance and tolerance > 0 else None)

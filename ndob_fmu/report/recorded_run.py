@@ -15,7 +15,7 @@ from ndob_fmu.runtime.arrays import Array
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordedRun:
     """A run: `recording` of outputs; `inputs` by port from an input file; `summary` as it was written.
 
     units: of signals and parameters, as people write them.
@@ -91,7 +91,7 @@ class Record:
         return source in order and component in order and order.index(source) < order.index(component)
 
 
-def read_record(folder: Path) -> Record:
+def read_recorded_run(folder: Path) -> RecordedRun:
     """Return the run in ``folder``. Raises UsageError if a file cannot be read, or was changed since it was written."""
     recording, summary, inputs = read_run(folder)
-    return Record(recording, {} if inputs is None else {name: inputs[name] for name in inputs.names}, summary)
+    return RecordedRun(recording, {} if inputs is None else {name: inputs[name] for name in inputs.names}, summary)

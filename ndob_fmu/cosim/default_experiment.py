@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Experiment:
+class DefaultExperiment:
     """Default times in seconds and the default relative tolerance; None where the description says nothing."""
 
     start_time: float | None = None

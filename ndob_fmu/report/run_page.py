@@ -11,13 +11,13 @@ import plotly.graph_objects as go
 from ndob_fmu.report.content import Content, Section, Table, text
 from ndob_fmu.report.lines import Panels
 from ndob_fmu.report.observers import disturbance_figures, input_figures, output_figures, state_figures
-from ndob_fmu.report.record import Record, read_record
+from ndob_fmu.report.recorded_run import RecordedRun, read_recorded_run
 from ndob_fmu.report.signals import usual_range
 
 
 def run_content(folder: Path) -> Content:
     """Return the report of the run whose result.csv, and summary.json if there is one, lie in ``folder``."""
-    record = read_record(folder)
+    record = read_recorded_run(folder)
     recording, summary, units = record.recording, record.summary, record.units
     span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
     system = summary.get("system") or folder.name
@@ -59,7 +59,7 @@ def _flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
             yield f"{label} [s]" if name.startswith(_SECONDS) else label, shown
 
 
-def _everything(record: Record) -> Iterator[tuple[str, go.Figure]]:
+def _everything(record: RecordedRun) -> Iterator[tuple[str, go.Figure]]:
     groups: dict[tuple[str, str], list[str]] = {}
     for name in record.recording.names:
         groups.setdefault((name.partition(".")[0], record.units.get(name, "")), []).append(name)
