@@ -35,6 +35,7 @@ WAY = [
     "report",
     "packages",
     "demo",
+    "command_line",
     "cli",
 ]
 # What every folder may import; arrows to these would hide the others.

@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from ndob_fmu import cli
+from ndob_fmu.cli import command_parser
 from tests.helpers.clean_process import ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
@@ -105,7 +105,7 @@ COMMANDS = [
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS, ids=[f"{page}-{k}" for k, (page, _) in enumerate(COMMANDS)])
 def test_every_command_in_the_documentation_is_one_that_the_program_takes(page, line):
-    assert callable(cli._parser().parse_args(shlex.split(line)[1:]).run)
+    assert callable(command_parser().parse_args(shlex.split(line)[1:]).run)
 
 
 def test_the_documentation_shows_every_command_of_the_program():

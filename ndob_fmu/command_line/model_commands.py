@@ -1,0 +1,145 @@
+"""The commands that start from a model: check, design, build."""
+
+from __future__ import annotations
+
+import argparse
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+
+from ndob_fmu.command_line.options import BUILD, DEMO_MODEL, MODEL_HELP, Commands, add_command, as_json
+from ndob_fmu.errors import UsageError
+from ndob_fmu.support.progress import begin
+
+_DEMO_SYSTEM = "open_loop"
+
+
+def add_model_commands(commands: Commands) -> None:
+    """Add check, design and build."""
+    parser = add_command(
+        commands,
+        "check",
+        _check,
+        "Check the paper's assumptions on a model, or check a system; exit code 1 if a check fails.",
+        slow=True,
+    )
+    parser.add_argument("model", metavar="MODEL", help=f"{MODEL_HELP}, or the path of a system (.ssp)")
+    parser.add_argument(
+        "--strict", action="store_true", help="of a system: let inputs that nothing drives fail the check"
+    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw the system (.svg)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+    parser = add_command(
+        commands, "design", _design, "Design the observer: gains, poles, bandwidth, noise gain.", slow=True
+    )
+    parser.add_argument("model", metavar="MODEL", help=MODEL_HELP)
+    parser.add_argument(
+        "--pi", type=float, help="design parameter of the Riccati equation (default: the model's pi_end)"
+    )
+    parser.add_argument("--alpha", type=float, help="prescribed stability in 1/s (default: the model's)")
+    parser.add_argument(
+        "--step-size", type=float, metavar="H", help="also design the sampled-data observer for a step of H s"
+    )
+    parser.add_argument(
+        "--disturbance-order",
+        type=int,
+        choices=range(4),
+        help="order r of the disturbance model: d and r - 1 derivatives are estimated",
+    )
+    parser.add_argument("--noise-std", type=float, metavar="S", help="standard deviation of the noise in a sample")
+    for option, text in (("bound", "bound of |d|"), ("rate", "bound of the r-th derivative of d")):
+        parser.add_argument(
+            f"--disturbance-{option}",
+            type=float,
+            nargs="+",
+            metavar="D",
+            help=f"{text}, one value for each disturbance",
+        )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+    parser = add_command(commands, "build", _build, "Build <Name>Plant.fmu and <Name>Observer.fmu.", slow=True)
+    parser.add_argument("model", metavar="MODEL", help=MODEL_HELP)
+    parser.add_argument(
+        "--out", type=Path, default=BUILD / "fmus", metavar="DIR", help="folder of the FMUs (%(default)s)"
+    )
+    parser.add_argument(
+        "--components",
+        action="store_true",
+        help="also <Name>Controller.fmu and the component FMUs, which docs/systems.md lists",
+    )
+    parser.add_argument(
+        "--systems", type=Path, metavar="DIR", help="also these, and packages of the shipped systems in DIR"
+    )
+
+
+def _check(options: argparse.Namespace) -> int:
+    if options.model.endswith(".ssp"):
+        return _check_system(options)
+    if options.picture is not None:
+        raise UsageError.report("--picture", expected="a system (.ssp) to draw", received=options.model)
+    from ndob_fmu.analysis.assumptions import check
+    from ndob_fmu.model.loading import load_model
+
+    report = check(load_model(options.model))
+    print(as_json(report.to_dict()) if options.json else report)
+    return 0 if report.passed else 1
+
+
+def _check_system(options: argparse.Namespace) -> int:
+    from ndob_fmu.cosim import check_ssp
+
+    begin(f"reading {options.model} and its FMUs")
+    report = check_ssp(options.model, strict=options.strict, picture=options.picture)
+    print(report.to_json() if options.json else report)
+    return 0 if report.passed else 1
+
+
+def _design(options: argparse.Namespace) -> int:
+    from ndob_fmu.analysis.design import design
+    from ndob_fmu.model.loading import load_model
+
+    result = design(
+        load_model(options.model),
+        pi=options.pi,
+        alpha=options.alpha,
+        step_size=options.step_size,
+        disturbance_order=options.disturbance_order,
+        noise_std=options.noise_std,
+        disturbance_bound=options.disturbance_bound,
+        disturbance_rate=options.disturbance_rate,
+    )
+    print(as_json(result.to_dict()) if options.json else result)
+    return 0
+
+
+def _build(options: argparse.Namespace) -> int:
+    for path in _build_all(options.model, options.out, options.components, options.systems):
+        print(path)
+    return 0
+
+
+def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
+    """Build one after the other and yield their paths; the controller, whose design may fail, is the last FMU."""
+    from ndob_fmu.cosim import parameter_sets
+    from ndob_fmu.fmu import build
+    from ndob_fmu.fmu.components import build_components, build_controller
+    from ndob_fmu.model.loading import load_model
+    from ndob_fmu.packages import build_ssp
+    from ndob_fmu.support.shipped import shipped_folder
+
+    model = load_model(name)
+    yield from build(model, out)
+    if components or systems is not None:
+        yield from build_components(out)
+        yield build_controller(model, out)
+    if systems is not None:
+        for folder in sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd")):
+            for one in (None, *parameter_sets(folder)):
+                yield build_ssp(folder, out, systems, parameter_set=one)
+
+
+def build_demo() -> Path:
+    """Build all that is shipped into the folder of builds, and return the path of the demo's system."""
+    deque(_build_all(DEMO_MODEL, BUILD / "fmus", True, BUILD / "ssp"), maxlen=0)
+    return BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
