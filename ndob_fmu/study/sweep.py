@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from distributed import Client, Future, TimeoutError, wait  # noqa: A004 # Python 3.10's own is another one
+from distributed import CancelledError, Client, Future, TimeoutError, wait  # noqa: A004 # Python 3.10's own is another one
 
 from ndob_fmu.cosim.master.progress_bar import tqdm
 from ndob_fmu.errors import NdobError, SimulationError
@@ -27,6 +27,7 @@ from ndob_fmu.support.interrupts import check_interrupt
 _BATCH_SECONDS = 0.5  # as much is lost when a worker dies, and a batch costs some milliseconds
 _MOST_IN_A_BATCH = 500
 _AHEAD = 2  # batches for each thread, so that none waits for the client
+_GONE = (OSError, TimeoutError, CancelledError)  # what distributed raises of a connection that is lost
 _LOST_AFTER = 30.0  # seconds without any worker
 
 
@@ -74,7 +75,7 @@ def _sweep(
         return Tally(0, 0, 0.0, 0)
     with connected(workers, scheduler) as client, _bar(store, progress) as bar:
         plugin = StudyPlugin(study, own=scheduler is None)
-        with _talking():
+        with _talking(client):
             client.register_plugin(plugin)
         try:
             began = time.perf_counter()
@@ -128,21 +129,23 @@ class _Crew:
                 yield from self._finished(alone=True)
 
     def _submit(self, batch: list[int]) -> None:
-        with _talking():
+        with _talking(self._client):
             future = self._client.submit(run_batch, self._plugin, batch, pure=False)
         self._batches[future] = batch
 
     def _finished(self, *, alone: bool = False) -> Iterator[list[dict[str, Any]]]:
         for future in self._wait():
             batch = self._batches.pop(future)
-            with _talking():
+            with _talking(self._client):
                 error = future.exception()
                 rows = [] if error else future.result()
-            if rows:
+            if error is None:
                 yield rows
                 continue
-            if type(error).__name__ != "KilledWorker":
+            if isinstance(error, _GONE):
                 raise _lost(str(error))
+            if type(error).__name__ != "KilledWorker":
+                raise _failed(error) from error
             if alone:
                 fate = {FAILED: True, REASON: "the worker's process died in this run, and another one's too"}
                 yield [{RUN: batch[0], **self._points[batch[0]], **fate}]
@@ -163,22 +166,37 @@ class _Crew:
         return done
 
     def _done_within(self, seconds: float) -> list[Future]:
-        with _talking(), suppress(TimeoutError):
+        with _talking(self._client), suppress(TimeoutError):
             return list(wait(list(self._batches), timeout=seconds, return_when="FIRST_COMPLETED").done)
         return []
 
     def _count(self) -> int:
-        with _talking():
+        with _talking(self._client):
             return sum(self._client.nthreads().values())
 
 
 @contextmanager
-def _talking() -> Iterator[None]:
-    """Raise SimulationError for whatever distributed raises, of many kinds, where the scheduler is gone."""
+def _talking(client: Client) -> Iterator[None]:
+    """Raise SimulationError for what distributed raises where the scheduler is gone; other errors stay as they are.
+
+    A client that has lost its scheduler raises errors of many kinds.
+    """
     try:
         yield
     except Exception as error:
+        if client.status == "running" and not isinstance(error, _GONE):
+            raise
         raise _lost(str(error) or repr(error)) from error
+
+
+def _failed(error: BaseException) -> NdobError:
+    """Return the error for a batch that a worker could not do, where the failure of one run would be a row."""
+    return SimulationError.report(
+        "sweep",
+        expected="workers that can do its runs",
+        received=f"{type(error).__name__}: {' '.join(str(error).split())}",
+        likely="a worker without ndob-fmu, or with another version of it or of what it needs",
+    )
 
 
 def _lost(received: str) -> NdobError:

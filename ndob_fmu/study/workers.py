@@ -16,6 +16,7 @@ from typing import Any
 
 import dask
 from distributed import Client, LocalCluster, Security, TimeoutError, Worker, WorkerPlugin, get_worker  # noqa: A004 # 3.10's differs
+from distributed.comm.addressing import get_address_host_port
 
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
 from ndob_fmu.study.session import Session
@@ -23,6 +24,8 @@ from ndob_fmu.study.study import Study
 from ndob_fmu.support.interrupts import held
 from ndob_fmu.support.temporary import make_folder, remove_folder, temporary_folder
 
+_SCHEDULER = "a scheduler of dask.distributed that answers, as tcp://HOST:PORT or tls://HOST:PORT"
+_LARGEST_PORT = 65535
 _PATIENCE = 10.0  # seconds for a scheduler to answer, and for its first worker
 _CONFIGURATION = {
     "distributed.comm.timeouts.connect": "5s",
@@ -186,17 +189,31 @@ def _no_tls(address: str, received: str) -> NdobError:
     )
 
 
+def _require_address(address: str) -> None:
+    try:
+        _, port = get_address_host_port(address)
+    except (ValueError, ImportError) as error:  # ImportError: of a scheme whose library is not installed
+        raise _no_address(address, str(error).partition("\n")[0]) from error
+    if not 0 < port <= _LARGEST_PORT:
+        raise _no_address(address, f"the port {port}")
+
+
+def _no_address(address: str, received: str) -> NdobError:
+    likely = f"the address is incomplete, or its port is not a number from 1 to {_LARGEST_PORT}"
+    return UsageError.report(f"scheduler {address}", expected=_SCHEDULER, received=received, likely=likely)
+
+
 @contextmanager
 def _remote(address: str) -> Iterator[Client]:
+    _require_address(address)
     security = _security(address)
     try:
         client = Client(address, timeout=_PATIENCE, security=security)
-    except (OSError, ValueError, TypeError, ImportError, TimeoutError) as error:
-        received = str(error).partition("\n")[0] or "no answer"
+    except (OSError, TimeoutError) as error:
         raise UsageError.report(
             f"scheduler {address}",
-            expected="a scheduler of dask.distributed that answers, as tcp://HOST:PORT or tls://HOST:PORT",
-            received=received,
+            expected=_SCHEDULER,
+            received=str(error).partition("\n")[0] or "no answer",
             likely="`dask scheduler` does not run there, speaks the other protocol, or a firewall is in between",
         ) from error
     with client:

@@ -18,7 +18,7 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.results.csv_files import read_csv, write_csv
 from ndob_fmu.results.json_files import read_sealed_json, write_json, write_sealed_json
 from ndob_fmu.results.recording import Recording
-from ndob_fmu.support.files import atomic_path
+from ndob_fmu.support.files import atomic_folder, atomic_path
 
 
 def recording():
@@ -228,3 +228,27 @@ def test_results_load_without_fmpy():
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert loaded.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("writer", [atomic_path, atomic_folder])
+def test_a_file_that_a_block_cannot_read_is_not_blamed_on_the_place_it_writes_to(tmp_path, writer):
+    with pytest.raises(FileNotFoundError, match="source"), writer(tmp_path / "target"):
+        (tmp_path / "source").read_text()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("writer", [atomic_path, atomic_folder])
+@pytest.mark.parametrize(
+    "error",
+    [
+        lambda temporary: OSError(28, "No space left on device"),
+        lambda temporary: OSError(5, "Input/output error", str(temporary)),
+        lambda temporary: OSError(f"Failed to open local file '{temporary}'"),  # as pyarrow has it
+    ],
+)
+def test_what_a_block_cannot_write_is_told_of_the_place_it_writes_to(tmp_path, writer, error):
+    with (
+        pytest.raises(UsageError, match=r"target: expected a \w+ that can be written"),
+        writer(tmp_path / "target") as new,
+    ):
+        raise error(new)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import json
+import operator
 import os
 import re
 import resource
@@ -12,12 +14,14 @@ import subprocess
 import sys
 import tempfile
 import threading
+from types import SimpleNamespace
 
 import dask
 import psutil
 import pyarrow.parquet as pq
 import pytest
-from distributed import Client, LocalCluster, Security, rpc
+from distributed import CancelledError, Client, LocalCluster, Security, rpc
+from distributed.comm import CommClosedError
 
 from ndob_fmu.cli import main
 from ndob_fmu.cosim import simulate
@@ -27,6 +31,8 @@ from ndob_fmu.study.store import read_runs
 from ndob_fmu.study.summary import as_text, summarize
 from tests.helpers.coupling_fmus import coupling_fmus
 from tests.helpers.study_files import SLOW, WALK, start, wait_for, workers_of, write
+
+sweeping = importlib.import_module("ndob_fmu.study.sweep")  # the function has the name of its module
 
 
 @pytest.fixture(scope="session")
@@ -272,11 +278,45 @@ def test_tls_without_the_right_certificate_ends_in_one_line(walk, secured, tmp_p
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.parametrize("address", ["foo://host:1", "tcp://", "", "tcp://127.0.0.1:x", "inproc://x"])
+@pytest.mark.parametrize(
+    "address", ["foo://host:1", "tcp://", "", "tcp://127.0.0.1:x", "tcp://127.0.0.1:99999", "inproc://x"]
+)
 def test_an_address_that_is_none_is_refused_in_one_line(walk, tmp_path, capfd, address):
     with pytest.raises(UsageError, match=rf"scheduler {address}: expected a scheduler"):
         sweep(walk[0], tmp_path / "r", scheduler=address)
     assert capfd.readouterr().err == ""
+
+
+def test_a_fault_inside_distributed_is_not_told_as_a_scheduler_that_does_not_answer(walk, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise TypeError("of the library's own")
+
+    monkeypatch.setattr(workers, "Client", fail)
+    with pytest.raises(TypeError, match="of the library's own"):
+        sweep(walk[0], tmp_path / "r", scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("status", "raised", "told"),
+    [
+        ("running", ZeroDivisionError, ZeroDivisionError),
+        ("closed", ZeroDivisionError, SimulationError),  # such errors follow where the scheduler is gone
+        ("running", CommClosedError, SimulationError),
+        ("running", CancelledError, SimulationError),
+    ],
+)
+def test_an_error_is_told_as_a_lost_scheduler_where_that_is_gone_only(status, raised, told):
+    with pytest.raises(told), sweeping._talking(SimpleNamespace(status=status)):
+        raise raised("words")
+
+
+def test_what_no_worker_can_do_is_told_with_its_cause(fmus, cluster, tmp_path, monkeypatch):
+    study = read_study(write(tmp_path, "walk", WALK, fmus))
+    monkeypatch.setattr(sweeping, "run_batch", operator.truediv)
+    with pytest.raises(
+        SimulationError, match=r"expected workers that can do its runs, received TypeError: unsupported"
+    ):
+        sweep(study, tmp_path / "r", scheduler=cluster[0])
 
 
 def test_a_cluster_of_this_machine_is_reached_from_this_machine_only_and_asks_for_a_certificate(tmp_path, monkeypatch):
