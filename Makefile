@@ -64,7 +64,7 @@ windows: .venv/installed-test build
 clean:
 	rm -rf .venv build dist results .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-# The stamps are touched last, so that an installation that was interrupted is tried again.
+# The stamp is written last, so that an interrupted installation is repeated.
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .

@@ -1,10 +1,10 @@
-"""Build the plant's and the observer's FMU of a model, or all that is shipped.
+"""Build the plant's and the observer's FMU of a model, or all shipped FMUs and systems.
 
     python build_fmu.py MODEL [--out DIR]
     python build_fmu.py
 
-MODEL is a built-in name or a Python file that defines `model`; the same as `ndob-fmu build`. Without any argument all
-FMUs of the paper's example are built into build/fmus, and the systems of ssp/ with them into build/ssp.
+MODEL is a built-in name or a Python file that defines `model`. The arguments are those of `ndob-fmu build`. Without
+arguments, all FMUs of the paper's example are built into build/fmus, and the systems of ssp/ into build/ssp.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The page: who is more accurate and why, decided from the scores, then all figures."""
+"""The page: which estimator is more accurate and why, computed from the scores, then all figures."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ COLUMNS = {
 }
 REASONS = {
     "rounding": "both errors are below 5e-8: rounding errors of samples and arithmetic, which a slower filter averages",
-    "signal": "this EKF is tuned to this very signal by a scan, ours by the bound only; told the same, the EKF is no "
-    "better than ours",
+    "signal": "a scan has tuned this EKF to this signal, ours is tuned by the bound only; with the same information "
+    "the EKF is not better than ours",
     "scatter": "the difference is within the scatter of the records (two standard errors of their mean ratio)",
-    "unexplained": "ours is worse and this script cannot tell why",
+    "unexplained": "ours is worse, for a reason that this script does not know",
 }
 
 
@@ -108,7 +108,7 @@ def ratio_table(plan: Plan, scores: Scores) -> tuple[str, str]:
             lines.append(f"| {signal.name} | {_noise(sigma)} | " + " | ".join(cells) + " |")
     reasons = [f"- ({letter}) {REASONS[reason]}" for reason, letter in letters.items()]
     summary = [
-        _summary("Told the same", counts, "", letters),
+        _summary("With the same information", counts, "", letters),
         _summary("Against the EKF at the best intensity that a scan finds in each cell", counts, ", scan", letters),
     ]
     return "\n".join(lines), "\n\n".join(["\n".join(reasons), *summary])
@@ -157,7 +157,7 @@ def _summary(title: str, counts: Counter[tuple[str, str]], baseline: str, letter
 
 
 def beyond_the_signal(plan: Plan, scores: Scores) -> str:
-    """Return which cells of ours are no better than d̂ = 0 would be, "" if there is none."""
+    """Return the cells in which ours is not better than d̂ = 0; "" if there are none."""
     cells = []
     for signal in plan.signals:
         for sigma in plan.noises:
@@ -172,8 +172,8 @@ def beyond_the_signal(plan: Plan, scores: Scores) -> str:
     if not cells:
         return ""
     return (
-        f"No better than d̂ = 0 would be: {'; '.join(cells)}. The samples hold too little about so fast a disturbance "
-        "there, and who is told only |d| ≤ D₀ cannot answer 0."
+        f"Not better than d̂ = 0: {'; '.join(cells)}. There the samples contain too little information about so fast a "
+        "disturbance, and an estimator that knows only |d| ≤ D₀ cannot choose d̂ = 0."
     )
 
 
@@ -255,32 +255,34 @@ _INTRODUCTION = f"""# How accurate is the estimate, and compared with what?
 
 <!-- Written by `python -m benchmarks.accuracy`; changes belong there. -->
 
-One plant, the paper's flexible joint with both angles measured, the disturbance a torque on its motor with
-|d| ≤ D₀ = {D0:g}. Estimators side by side, over step size H, disturbance and measurement noise σ. Ours is the observer
-FMU (method 2)."""
+The plant is the paper's flexible joint with both angles measured. The disturbance is a torque on its motor with
+|d| ≤ D₀ = {D0:g}. This page compares estimators over step size H, disturbance and measurement noise σ. Ours is the
+observer FMU (method 2)."""
 
-_RATIO_TEXT = """Error of ours over the error of the EKF with as many integrated disturbances, at the sample: first
-the EKF that is told the same (σ, D₀, D_r, prior) and tuned by the same principle, then the EKF at its best in this very
-cell. Below 1 ours is the more accurate one; where it is less accurate the number is bold and a letter names the
-reason."""
+_RATIO_TEXT = """\
+The table has the error of ours divided by the error of the EKF with as many integrated disturbances, at the sample.
+The first number is for the EKF with the same information (σ, D₀, D_r, prior), tuned by the same principle. The second
+is for the EKF with the best tuning for this cell. Below 1 ours is more accurate. Where ours is less accurate, the
+number is bold and a letter gives the reason."""
 
-_REQUIRED_TEXT = """Measured apart from the cells below, with longer records where there is noise. The best over all
-intensities is computed from the linear error dynamics."""
+_REQUIRED_TEXT = """\
+These values are not from the cells below; records with noise are longer. The best over all intensities is computed
+from the linear error dynamics."""
 
-_AHEAD_TEXT = (
-    "d̂(t_k + H | y_k) against d(t_k + H), measured as above; scans keep the tuning that is best at the sample."
-)
+_AHEAD_TEXT = "d̂(t_k + H | y_k) is compared with d(t_k + H) as above. Scans use the tuning that is best at the sample."
 
-_START_TEXT = """Without noise. Start from x̂(0) = −x(0) with d = 2: number of samples after which d̂ stays within
-2 %, and the largest |d̂|. Then, for the step of 2 at 1 s, number of steps from it until d̂ stays within 2 %."""
+_START_TEXT = """\
+These runs have no noise. The first columns are for a start from x̂(0) = −x(0) with d = 2: the number of samples after
+which d̂ stays within 2 %, and the largest |d̂|. The last is for the step of 2 at 1 s: the number of steps until d̂ stays
+within 2 %."""
 
 
 def _error_text(plan: Plan) -> str:
     records = "" if plan.records == 1 else f" of {plan.records} records"
-    return f"""d̂(t_k | y_k) against d(t_k) from {STEADY_FROM:g} s to {plan.stop_time:g} s, for the step from
-{AFTER_STEP:g} s after it. Without noise: the largest error. With noise{records}: |bias| + standard deviation, the bias
-being the mean, and for a sine also the amplitude of the error's part of its frequency; for the chirp the root mean
-square. The smallest of a row is bold."""
+    return f"""d̂(t_k | y_k) is compared with d(t_k) from {STEADY_FROM:g} s to {plan.stop_time:g} s, for the step from
+{AFTER_STEP:g} s after it. Without noise the number is the largest error. With noise{records} it is |bias| + standard
+deviation; the bias is the mean and, for a sine, also the amplitude of the error at the sine's frequency. For the chirp
+it is the root mean square. The smallest of a row is bold."""
 
 
 def _method_text(plan: Plan) -> str:
@@ -292,19 +294,19 @@ def _method_text(plan: Plan) -> str:
     )
     return f"""- **Plant**: `FlexibleJointPlant.fmu` from x(0) = (1, 1, 1, 1), u = 0. The chirp's frequency rises by
   1.2 Hz per second. The noise is white and normal, of seed {plan.seed}, and the same for all estimators.
-- **Ours**: `FlexibleJointObserver.fmu`, without noise in co-simulation with the plant, with noise fed with the recorded
-  samples. It is told σ, D₀ and D_r, the bound of the r-th derivative of all sines of amplitude 1 up to 1 Hz, (2π)^r,
+- **Ours**: `FlexibleJointObserver.fmu`, without noise in co-simulation with the plant, with noise from the recorded
+  samples. It knows σ, D₀ and D_r, the bound of the r-th derivative of all sines of amplitude 1 up to 1 Hz, (2π)^r,
   for constant, ramp, step and sine 1 Hz, and up to 5 Hz, (10π)^r, for sine 5 Hz and chirp.
 - **EKF**: extended Kalman filter with r integrated disturbances, linearised at every step, discretised by Van Loan's
-  formula, covariances as square roots, predicted by Runge–Kutta; the same prior as ours. Its intensity: the one at
-  which worst bias for D_r plus noise is least, as ours, for the joint linearised where it hangs down; and *best*: the
-  least error in each cell over {plan.scan} intensities and {plan.refinement} more around the best of them.
+  formula, covariances as square roots, predicted by Runge–Kutta; the same prior as ours. Its intensity
+  minimises the worst bias for D_r plus the noise, as ours does, for the joint linearised where it hangs down. *Best*
+  has the least error in each cell over {plan.scan} intensities and {plan.refinement} more around the best of them.
 - **Paper**: eqs. (22)–(24), α = 1, π from 1 to 1e12 in {PAPER_RAMP:g} s instead of 10 s, because the runs are short;
   that only raises its peak at the start. y between samples: held, or the polynomial through the latest three. It has no
-  knob for σ, so with noise it is also run at the π that balances bias and noise, π* = (D₁/(√2 σ))^(4/3):
+  parameter for σ, so with noise it is also run at the π that balances bias and noise, π* = (D₁/(√2 σ))^(4/3):
   {fitting or "none here"}. Of its two estimates, at the sample and for the step's end, the better one is shown.
 - **ESO**: linear extended state observer of the motor equation with r integrated disturbances (r = 1 is the classical
-  one), the link's angle taken from its samples, all poles at one bandwidth, the best of a scan in each cell.
+  one), the link's angle taken from its samples, all poles at one bandwidth, which a scan optimises in each cell.
 - **Second difference**: the motor equation solved for d with central differences of the three latest samples. It is
   the disturbance of one sample ago."""
 

@@ -1,6 +1,6 @@
-"""What a user would pick instead of this package's observer: reference implementations, kept apart from its code.
+"""Other estimators that a user could choose instead of this package's observer; they share no code with it.
 
-    extended_kalman_filter      r integrated disturbances, linearised anew at every step
+    extended_kalman_filter      r integrated disturbances, linearised again at every step
     extended_state_observer     linear, all poles at one bandwidth
     second_difference           the equation of motion solved for d with differences of the samples
 

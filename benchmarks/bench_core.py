@@ -1,4 +1,4 @@
-"""(c) What a step of the observer costs inside the FMU, over the size of a sparse model."""
+"""(c) The cost of a step of the observer inside the FMU, over the size of a sparse model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COUNT, ROUNDS = 50, 100
 
 
 def generated(model):
-    """Return COUNT generated steps from rest, with a gain of as many entries as one that is designed."""
+    """Return COUNT generated steps from x = 0, with a gain that has as many entries as a designed one."""
     eq = compile_model(model)
     n, p, q = len(eq.states), len(eq.outputs), len(eq.disturbances)
     constants = eq.steps.observer_constants(model.parameter_values())
@@ -36,7 +36,7 @@ def generated(model):
 
 
 def by_definition(model):
-    """Return COUNT steps at rest as NumPy takes them."""
+    """Return COUNT steps with a converged gain, in NumPy."""
     eq, tuning = compile_model(model), compile_model(model).observer
     observer = sampled_observer(
         eq,
@@ -80,10 +80,10 @@ def test_core(benchmark, section):
             rank=3,
             title="A step in Python, over the size of the model",
             text=(
-                "Carts in a row between springs and dampers, r = 2, p = 2: each knows its neighbours only. The step is "
-                "what the FMU runs once the gain is frozen: sample, correction and prediction. In NumPy it is what "
-                "defines the generated step. With n grow "
-                f"the entries of the model's matrices that are not zero: {counted}."
+                "Carts in a row between springs and dampers, r = 2, p = 2; each cart is connected to its neighbours"
+                " only. The step is what the FMU runs after the gain has been frozen: sample, correction and "
+                "prediction. The step in NumPy is the definition of the generated step. The number of non-zero "
+                f"entries in the model's matrices grows with n: {counted}."
             ),
             ratios=(
                 *(

@@ -25,20 +25,20 @@ PEERS = {
 }
 CLOCKS = ("on the clock", "of the processors")
 TEXT = (
-    "Plant and observer coupled over 20 000 steps, from the path of the package to the recorded signals, each tool in "
-    "a process of its own, imports left out; libcosim and ecos run their own loops in C++. Ours records all outputs in "
-    "memory, libcosim every Real one in memory, ecos every one in a CSV file; the runs that record nothing are a lower "
-    "bound for them. The bare loop makes the same FMI calls through fmpy's functions (doStep, set of the samples, get "
-    "of all Real outputs and of `valid`) with memory laid down once, in which the observer reads the samples where the "
-    "plant has written them, and records nothing. The bounds are on the processors' time: what else the "
-    "machine does spoils the clock."
+    "Plant and observer coupled over 20 000 steps, from the path of the package to the recorded signals. Each tool "
+    "runs in a process of its own, and imports are not counted; libcosim and ecos run their own loops in C++. Our "
+    "master records all outputs in memory, libcosim every Real output in memory, ecos every one in a CSV file; the "
+    "runs that record nothing are a lower bound for these two. The bare loop makes the same FMI calls through "
+    "fmpy's functions (doStep, set of the samples, get of all Real outputs and of `valid`). It allocates memory "
+    "once, so that the observer reads the samples where the plant has written them, and records nothing. The bounds"
+    " are for processor time, because other work on the machine disturbs the clock."
 )
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_coupling(benchmark, section, tmp_path, method):
     model = load_model("flexible_joint")
-    # ecos and libcosim do not hand an enumeration of the package to the FMU: the method is the FMU's own start value.
+    # ecos and libcosim set no enumerations of the package: the method is the FMU's own start value.
     model = replace(model, observer=replace(model.observer, method=method))
     plant, observer = build(model, tmp_path)
     source = shutil.copytree(shipped_folder("ssp") / "open_loop", tmp_path / "open_loop")

@@ -1,4 +1,4 @@
-"""(a) What a cycle of the observer's FMU costs, against one of an FMU that does nothing."""
+"""(a) The cost of a cycle of the observer's FMU, compared with an FMU that does nothing."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def test_cycle(benchmark, section, tmp_path, monkeypatch, model, name, required)
             rank=1,
             title=f"A cycle of the FMU: {name}",
             text=(
-                "One cycle is setReal of all inputs, doStep and getReal of all Real outputs through fmpy's FMU2Slave, "
-                "the observer at rest, with samples of its plant under a sine. The empty slave is built by pythonfmu "
-                "as it is, has the same variables as attributes, and its do_step only returns. "
-                f"{COUNT} cycles of each in turn, {ROUNDS} times."
+                "One cycle is setReal of all inputs, doStep and getReal of all Real outputs through fmpy's "
+                "FMU2Slave. The observer's gain has converged, and its samples come from its plant under a sine. "
+                "The empty slave is a stock FMU of pythonfmu with the same variables as attributes; its do_step "
+                f"only returns. {COUNT} cycles of each in turn, {ROUNDS} times."
             ),
             ratios=(compared(f"observer, {name}", "empty slave", times["observer"], times["empty slave"], required),),
             times=tuple(Time(f"{who}, a cycle", float(np.median(t)) / COUNT) for who, t in times.items()),

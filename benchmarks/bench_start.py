@@ -1,4 +1,4 @@
-"""(e) What is paid once: building the FMUs, loading one, and the design at the first step."""
+"""(e) The costs that occur once: building the FMUs, loading one, and the design at the first step."""
 
 from __future__ import annotations
 
@@ -42,9 +42,11 @@ def test_start(benchmark, section, tmp_path, monkeypatch, name):
         Section(
             rank=4,
             title=f"Once: {name}",
-            text=f"A design is made at the first step, which tells its length ({STEP:g} s). Until the gain is at rest "
-            "a step also takes the covariance along, in NumPy: the second step is such a one. Medians of "
-            f"{ROUNDS} rounds.",
+            text=(
+                f"A design is made at the first step, which is the first to know its length ({STEP:g} s). Until the "
+                "gain has converged, a step also updates the covariance, in NumPy; the second step is such a step. "
+                f"Medians of {ROUNDS} rounds."
+            ),
             times=tuple(Time(what, float(np.median(found))) for what, found in times.items()),
         )
     )

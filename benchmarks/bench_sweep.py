@@ -6,9 +6,9 @@ from benchmarks.figures import Ratio, Section, Time
 from benchmarks.sweep_throughput import rows
 
 TEXT = (
-    "Processes of a local cluster, which have loaded the FMUs before the clock runs. The ratios are those of the times "
-    "for a run, on the clock: what else the machine does spoils them. `python -m benchmarks.sweep_throughput` measures "
-    "the memory over 10 000 runs and a study of 2000 as well."
+    "The workers are processes of a local cluster that have loaded the FMUs before the time is taken. The ratios "
+    "are those of the times for a run, on the clock, so that other work on the machine disturbs them. `python -m "
+    "benchmarks.sweep_throughput` also measures the memory over 10 000 runs, and a study of 2000 runs."
 )
 # Peer, the row that compares with it, and how many times the rate of the peer is required.
 PEERS = (

@@ -1,4 +1,4 @@
-"""What the benchmarks share: how a figure gets onto the page that `benchmarks.performance` writes."""
+"""A fixture for all benchmarks: it puts their figures onto the page that `benchmarks.performance` writes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from benchmarks.figures import Section
 
 @pytest.fixture
 def section(benchmark):
-    """Return a function that puts a section of the page beside what pytest-benchmark keeps of this benchmark."""
+    """Return a function that adds a section of the page to the data of pytest-benchmark."""
 
     def keep(section: Section) -> None:
         benchmark.extra_info["section"] = section.as_dict()

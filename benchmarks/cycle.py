@@ -121,7 +121,7 @@ def samples_of(model: Model, steps: int) -> list[list[float]]:
 
 
 def cycles(model: Model, folder: Path, release: ExitStack, count: int, rounds: int) -> dict[str, Callable[[], None]]:
-    """Return `count` cycles of the model's observer, at rest, and of the empty slave, for so many rounds."""
+    """Return `count` cycles of the model's observer, with a converged gain, and of the empty slave."""
     variables = observer_variables(compile_model(model))
     paths = {
         "observer": build(model, folder)[1],

@@ -1,7 +1,7 @@
-"""What compensation is worth in the closed loops of ssp/: python -m benchmarks.disturbance_rejection
+"""How much compensation of the estimate reduces the motion in the closed loops of ssp/.
 
-builds FMUs and systems in a temporary folder, runs each system with compensation off and on, and writes the table of
-docs/systems.md.
+`python -m benchmarks.disturbance_rejection` builds FMUs and systems in a temporary folder, runs each system with
+compensation off and on, and writes the table of docs/systems.md.
 """
 
 from __future__ import annotations

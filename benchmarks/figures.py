@@ -1,4 +1,4 @@
-"""What a benchmark tells the page: ratios against named peers first, then times."""
+"""The results of a benchmark for the page: ratios to named programs, then times."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from benchmarks.timing import Times, ratio
 
 @dataclass(frozen=True)
 class Ratio:
-    """Ours over theirs: the median over the rounds and its quartiles; required: the most that it may be."""
+    """Ours over theirs: the median over the rounds and its quartiles; required: the largest value allowed."""
 
     what: str
     peer: str
@@ -31,7 +31,7 @@ class Time:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page. rank: sections stand in its order; text: what is measured and how, in Markdown."""
+    """A part of the page. rank: its place among the sections; text: what is measured and how, in Markdown."""
 
     rank: int
     title: str
@@ -40,12 +40,12 @@ class Section:
     times: tuple[Time, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what JSON can hold."""
+        """Return the section in JSON's types."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Section:
-        """Return the section that `as_dict` made this of."""
+        """Return the section from the result of `as_dict`."""
         ratios, times = (Ratio(**row) for row in found["ratios"]), (Time(**row) for row in found["times"])
         return cls(**{**found, "ratios": tuple(ratios), "times": tuple(times)})
 

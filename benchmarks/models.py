@@ -1,4 +1,4 @@
-"""Plants of any size whose equations are sparse, for benchmarks that look at what size costs."""
+"""Plants of any size with sparse equations, for benchmarks over the size of a model."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ndob_fmu import Model
 
 
 def carts(count: int) -> Model:
-    """Return carts in a row between springs and dampers, n = 2 `count`: each knows its neighbours only.
+    """Return carts in a row between springs and dampers, n = 2 `count`: each is connected to its neighbours only.
 
     The first one hangs on a spring that is no straight line and is pushed by the motor and by the unknown force; its
     place and that of the last one are measured (m = 1, p = 2, q1 = q2 = 1).

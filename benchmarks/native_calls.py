@@ -1,4 +1,4 @@
-"""What a native host pays for handing all inputs to the observer FMU and reading all its outputs, besides doStep.
+"""The time that a native host spends on setting all inputs and reading all outputs of the observer FMU, besides doStep.
 
     python -m benchmarks.native_calls [--steps N]
 

@@ -1,4 +1,4 @@
-"""The page: all ratios first, then how each was measured and the times behind it."""
+"""The page: all ratios, then for each how it was measured and its times."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _TOP = """# Performance
 
 <!-- Written by `python -m benchmarks.performance`; changes belong there. -->
 
-Each figure is a ratio of times that were measured in one run, in turns, as the median over the rounds with its
-quartiles: it says more than times, which are those of one machine. They are the processors' times where nothing else
-is said; below 1 ours is faster. A bound is what the project requires of itself.
+Each figure is a ratio of times that were measured in turns in one run: the median over the rounds, with its quartiles.
+Ratios depend less on the machine than times do. The times are processor times if nothing else is said. Below 1 ours is
+faster. A bound is a requirement of this project.
 
 Measured with Python {python}, {packages}, on {processors} processors.
 """

@@ -1,4 +1,4 @@
-"""How many runs a study does per second: two workers over one, over fmpy afresh for each run, and with what memory.
+"""How many runs a study makes per second: two workers over one, and over fmpy with a new FMU for each run; the memory.
 
     python -m benchmarks.sweep_throughput [--quick] [--only PART …]
 

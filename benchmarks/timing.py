@@ -1,4 +1,4 @@
-"""Ratios of times that a busy machine does not spoil: peers take turns, each round gives a ratio, the median counts."""
+"""Ratios of times on a busy machine: the compared programs take turns, each round gives a ratio, the median counts."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Times = NDArray[np.float64]
 
 
 def take_turns(actions: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, Times]:
-    """Return what each action took in each round (s); they take turns, and begin each round with another one.
+    """Return the processor time of each action in each round (s); they take turns, in a rotating order.
 
-    That is the processors' time: on the clock, other work on the machine counts as well, and hides what differs.
+    Time on the clock would include other work on the machine.
     """
     found: dict[str, list[float]] = {name: [] for name in actions}
     order = list(actions)

@@ -6,7 +6,7 @@
     tyres:     F_front = −grip · tanh(stiffness / grip · ((v + front_arm · r) / speed − steering_angle))
                F_rear  = −grip · tanh(stiffness / grip · ((v − rear_arm · r) / speed))
 
-Measured are the offset from the lane, the heading and the yaw rate. The tyres' force and moment enter where the wind's
+The offset from the lane, the heading and the yaw rate are measured. The tyres' force and moment enter where the wind's
 do: the matched case, eq. (1), with n = 4, m = 1, p = 3, q = 2, and no zeros. Masses in t and forces in kN, so that the
 force, some tenths of a kN, and the moment, some tenths of a kN·m, are numbers near one.
 

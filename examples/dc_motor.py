@@ -7,8 +7,8 @@
 The friction enters where the load torque does: the matched case, eq. (1), with n = 3, m = p = q = 1. The one zero is
 the electrical pole, −resistance/inductance = −500 1/s. SI units; a small servo motor with its load.
 
-γ = friction_torque / friction_rate = 0.4 N·m·s/rad: the slope of the friction at rest, which divided by the inertia is
-a rate of 200 1/s. The observer's rate (√pi_end / inertia)^½ = 1000 1/s is chosen well above it.
+γ = friction_torque / friction_rate = 0.4 N·m·s/rad: the slope of the friction at zero speed. Divided by the inertia it
+is a rate of 200 1/s. The observer's rate (√pi_end / inertia)^½ = 1000 1/s is chosen well above it.
 """
 
 import sympy

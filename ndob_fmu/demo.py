@@ -1,4 +1,4 @@
-"""The main job: the paper's example as a co-simulation of its two FMUs, with figures and a summary."""
+"""The demo: the paper's example as a co-simulation of its two FMUs, with figures and a summary."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _START_UP_TIME = 2.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the example shows, over arrays (rows,): time in s, d and d̂ in N·m, and ‖x − x̂‖."""
+    """The results of the example, arrays (rows,): time in s, d and d̂ in N·m, and ‖x − x̂‖."""
 
     time: NDArray[np.float64]
     disturbance: NDArray[np.float64]
@@ -39,14 +39,14 @@ class Verdict:
 
     @property
     def settling_time(self) -> float | None:
-        """Time from which |d̂ − d| stays within 2 % of |d|; None if it never does."""
+        """Time in s from which |d̂ − d| stays within 2 % of |d|; None if it never does."""
         outside = np.flatnonzero(self.error > 0.02 * np.abs(self.disturbance))
         if len(outside) == 0:
             return float(self.time[0])
         return float(self.time[outside[-1] + 1]) if outside[-1] + 1 < len(self.time) else None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the figures that go into summary.json."""
+        """Return the numbers for summary.json."""
         late = self.time >= 12.0
         return {
             "settling_time_2_percent": self.settling_time,
@@ -60,7 +60,7 @@ class Verdict:
 
 
 def verdict(recording: Recording) -> Verdict:
-    """Compare estimate and truth, both as of the end of each step."""
+    """Compare the estimates with the true values, both for the end of each step."""
     errors = [recording[f"plant.{state}"] - recording[f"observer.{state}_hat"] for state in STATES]
     return Verdict(
         time=recording.time,

@@ -1,4 +1,4 @@
-"""Names at the boundary of the shipped systems: what a user drives and sees where the system is one block of another.
+"""Names at the boundary of the shipped systems: inputs and outputs for use as one block of another system.
 
 They stand in packages of their own, ``<system>_boundary``: libcosim and ecos refuse a connection that has an end at the
 boundary, other tools make the inputs and outputs of the whole from nothing else.

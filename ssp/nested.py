@@ -1,4 +1,4 @@
-"""The full form of `two_joints`: a system for each joint, and a signal dictionary for what the links have in common.
+"""The full form of `two_joints`: a system for each joint, and a signal dictionary for the signals between the links.
 
 Our authoring function writes flat systems, which every tool reads; this is SSP for tools that read all of it.
 """

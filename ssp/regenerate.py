@@ -103,7 +103,7 @@ def closed_loop(fmus: Path, values: ParameterSet, noise_std: float, *, encoders:
 
 
 def disturbance_rejection(fmus: Path, values: ParameterSet) -> System:
-    """The arm held at rest against a step of 2 N·m and a sine of 1 Hz, by feedback and compensation of the estimate."""
+    """The arm held still against a step of 2 N·m and a sine of 1 Hz, by feedback and compensation of the estimate."""
     return closed_loop(fmus, values, SMALL_NOISE, encoders=False)
 
 

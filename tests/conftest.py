@@ -1,4 +1,4 @@
-"""What the tests share: the FMUs of the paper's example, built once, and a rule for continuous integration."""
+"""Fixtures for all tests: the FMUs of the paper's example, built once; and a rule for continuous integration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ndob_fmu.fmu.components import build_components, build_controller
 from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.shipped import shipped_folder
 
-# A test of random cases that says no number itself has few in the suite, and many in `make soak`, where they vary.
+# A test of random cases without a number of its own has few in the suite, and many varying ones in `make soak`.
 settings.register_profile("suite", max_examples=25, deadline=None, derandomize=True)
 settings.register_profile("soak", max_examples=1000, deadline=None, print_blob=True)
 settings.load_profile("suite")
@@ -83,7 +83,7 @@ def shipped(flexible_joint) -> Shipped:
 
 
 def _fail_if_skipped(report):
-    # Under CI=true: what a machine cannot run there nobody else runs either.
+    # Under CI=true: a test that is skipped there would run nowhere.
     if STRICT and report.skipped and not hasattr(report, "wasxfail"):
         report.outcome = "failed"
         report.longrepr = f"skipped under CI=true, which counts as a failure: {report.longrepr}"

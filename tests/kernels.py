@@ -1,4 +1,4 @@
-"""Run the numerical tests, and build what is shipped, under several kernels of OpenBLAS: python -m tests.kernels.
+"""Run the numerical tests, and build all that is shipped, under several kernels of OpenBLAS: python -m tests.kernels.
 
 `make test` calls it after the suite, which has run all tests under the kernel of its own environment.
 
@@ -30,7 +30,7 @@ NUMERICAL = [
     ),
     "tests/analysis/test_certificate.py",
 ]
-# What takes long and looks at the optimum alone.
+# Slow tests that only check the optimum.
 _LEFT_OUT = ("-k", "not no_other_intensity")
 _PROBE = "from tests.kernels import running; print(running())"
 

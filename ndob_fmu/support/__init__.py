@@ -1,1 +1,1 @@
-"""What every room may use: progress, interrupts, temporary folders, units, optional packages."""
+"""What every folder may import: progress, interrupts, temporary folders, whole files, units, optional packages."""

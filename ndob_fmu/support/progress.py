@@ -1,4 +1,4 @@
-"""What a long command is doing: the package says it to Python's logging, the command line shows it to who waits."""
+"""Progress of long commands: the package logs what it is doing, and the command line shows it after a while."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _log = logging.getLogger(__name__)
 
 
 def begin(activity: str) -> None:
-    """Say what begins, in words that go on after "still"."""
+    """Log an activity that begins, in words that can follow "still"."""
     _log.info(activity)
 
 
 @contextmanager
 def shown_after(patience: float) -> Iterator[None]:
-    """Within this block, print to stderr what is going on after `patience` s, and what begins after that."""
+    """Within this block, print the current activity to stderr after `patience` s, and each later one when it begins."""
     handler = _Lines(patience)
     level, propagate = _log.level, _log.propagate
     _log.addHandler(handler)

@@ -8,6 +8,6 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def shipped_folder(name: str) -> Path:
-    """Return the folder `fmus` or `ssp`: in an installed package it lies inside, in a checkout beside it."""
+    """Return the folder `fmus` or `ssp`: inside an installed package, or beside the package in a checkout."""
     installed = _PACKAGE / f"_{name}"
     return installed if installed.is_dir() else _PACKAGE.parent / name

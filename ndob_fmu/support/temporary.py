@@ -1,7 +1,7 @@
-"""Folders for temporary files: removed when their block ends, or else by a later process.
+"""Folders for temporary files: removed when their block ends; if the process was killed, by a later process.
 
 A folder is ``ndob_fmu_<random>/`` with ``files/`` for its user and ``lock``, which its process holds. The first use in
-a process removes folders of the same account whose lock nobody holds: those of processes that were killed.
+a process removes folders of the same account whose lock no process holds: they belong to processes that were killed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _swept: set[Path] = set()
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Give an empty folder that is removed at the end of the block; raise UsageError if none can be made."""
+    """Yield an empty folder that is removed at the end of the block; raise UsageError if it cannot be made."""
     folder = make_folder()
     try:
         yield folder
@@ -43,8 +43,8 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def make_folder() -> Path:
-    """Return a new empty folder for `remove_folder`; raise UsageError if none can be made."""
-    from filelock import FileLock  # takes long to import, and few commands need folders
+    """Return a new empty folder, which `remove_folder` removes; raise UsageError if it cannot be made."""
+    from filelock import FileLock  # slow to import, and few commands need folders
 
     with held():
         try:
@@ -57,7 +57,7 @@ def make_folder() -> Path:
             root.mkdir(mode=0o700)
             lock = FileLock(root / _LOCK, timeout=0)
             _locks[root / _FILES] = lock
-            with suppress(NotImplementedError):  # a file system without locks: nobody can take it for a stale one
+            with suppress(NotImplementedError):  # a file system without locks: no process can find it stale
                 lock.acquire()
             (root / _FILES).mkdir()
         except OSError as error:
@@ -71,7 +71,7 @@ def make_folder() -> Path:
 
 
 def remove_folder(folder: Path) -> None:
-    """Remove a folder of `make_folder`; what cannot be removed yet is left to later processes."""
+    """Remove a folder of `make_folder`; later processes remove what cannot be removed yet."""
     with held():
         shutil.rmtree(folder, ignore_errors=True)  # Windows cannot delete a library that is still loaded
         lock = _locks.pop(folder, None)
@@ -83,7 +83,7 @@ def remove_folder(folder: Path) -> None:
 
 def remove_folders() -> None:
     """Remove all folders of this process."""
-    if os.getpid() == _owner:  # not in a fork, which ends before its parent
+    if os.getpid() == _owner:  # not in a forked child, which may end before its parent
         for folder in list(_locks):
             remove_folder(folder)
 

@@ -1,4 +1,4 @@
-"""A headless Chromium without a network: opens a page, notes what it logs and what it asks for, takes a screenshot."""
+"""A headless Chromium without a network: opens a page, records its log and its requests, takes a screenshot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FLAGS = (
 
 @contextmanager
 def browser(profile: Path) -> Iterator[webdriver.Chrome]:
-    """Give a browser with a fresh profile; it is gone afterwards."""
+    """Yield a browser with a new profile, and close it at the end."""
     options = Options()
     options.binary_location = shutil.which("chromium") or ""
     for flag in (*_FLAGS, f"user-data-dir={profile}", "window-size=1200,1000"):
@@ -42,7 +42,7 @@ def browser(profile: Path) -> Iterator[webdriver.Chrome]:
 
 
 def requests(driver: webdriver.Chrome) -> set[str]:
-    """Return the addresses that were asked for, without what a page carries in itself."""
+    """Return the requested addresses, without data that the page contains itself."""
     messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
     asked = {m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"}
     return {url for url in asked if not url.startswith(("data:", "blob:"))}

@@ -1,4 +1,4 @@
-"""An FMU driven by name through fmpy, call by call, with the status of each call and what the FMU says meanwhile."""
+"""An FMU driven by name through fmpy, call by call, with the status of each call and the FMU's messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ACCESS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Bool
 
 
 class Instance:
-    """Calls give the status; `get` gives numbers by name; `said` collects the messages."""
+    """Calls return the status; `get` returns numbers by name; `said` collects the messages."""
 
     def __init__(self, path, folder, name="instance"):
         self.description = fmpy.read_model_description(path)
@@ -36,7 +36,7 @@ class Instance:
         self.fmu.instantiate(callbacks=self.log.callbacks, loggingOn=True)
 
     def __getattr__(self, function):
-        """Return the FMI function `function` as fmpy calls it, giving its status."""
+        """Return the FMI function `function` as fmpy calls it; it returns the status."""
         call = getattr(self.fmu, function)
 
         def status(*arguments, **named):

@@ -1,4 +1,4 @@
-"""Components in a few lambdas, which note every call."""
+"""Components made of a few lambdas, which record every call."""
 
 from __future__ import annotations
 
@@ -86,5 +86,5 @@ def ramp(**more: Any) -> Mock:
 
 
 def gain(k: float = 1.0, **more: Any) -> Mock:
-    """y = k u with what u was during the step: outputs change in steps only, but also during initialization."""
+    """y = k u for u during the step: outputs change in steps, and during initialization."""
     return Mock(["u"], ["y"], output=lambda x, u: [k * u["u"]], **more)

@@ -28,7 +28,7 @@ IN_FMPY = "import sys; from fmpy import simulate_fmu; simulate_fmu(sys.argv[1], 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run of the host has left: its exit code and its lines, replies and log messages apart."""
+    """The results of a run of the host: its exit code, its replies, and its log messages."""
 
     code: int
     replies: list[str]
@@ -67,7 +67,7 @@ class Native:
     def run(
         self, *commands: str, uri: str | None = None, guid: str | None = None, env: Mapping[str, str] | None = None
     ) -> Run:
-        """Run the host with these commands and an environment that holds nothing but `env`."""
+        """Run the host with these commands; its environment has only `env`."""
         done = subprocess.run(
             [self.host, self.library, uri or self.resources.as_uri(), guid or self.guid],
             input="".join(f"{command}\n" for command in commands).encode(),
@@ -108,7 +108,7 @@ def moved(native: Native, folder: Path) -> Native:
 
 
 def main(count: int) -> int:
-    """Print how often each exit code came of `count` runs in either host; return 1 if one was not 0."""
+    """Print the number of each exit code in `count` runs of either host; return 1 if one was not 0."""
     from ndob_fmu import build, load_model
 
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:

@@ -1,6 +1,6 @@
-"""What tests need of the machine beside Python's packages: marks that skip with the reason where it is missing.
+"""Marks for tests that need more of the machine than Python's packages: they skip with the reason if it is missing.
 
-Under CI=true a skipped test is a failure (conftest.py). README lists what each test needs.
+Under CI=true a skipped test is a failure (conftest.py). docs/installing.md lists what the tests need.
 """
 
 from __future__ import annotations

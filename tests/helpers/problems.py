@@ -93,7 +93,7 @@ def system_with_zeros(
 
 
 def _relative_degree(channel: int, firsts: Array, seen: Array, lasts: Array) -> int:
-    """Return how many integrations lie between the channel and the nearest of its own states that an output sees."""
+    """Return the number of integrations between the channel and the nearest of its own states that an output contains."""
     own = [k for k in seen if firsts[channel] <= k <= lasts[channel]]
     return int(lasts[channel] - max(own) + 1)
 
@@ -186,7 +186,7 @@ class BadProblem:
 
 
 def _with_mode(linear: LinearPart, mode: float, *, driven: bool, seen: bool) -> LinearPart:
-    """Add a state, the last, that the unknown inputs drive or not and that the outputs see or not."""
+    """Add a state, the last, that the unknown inputs drive or not and that the outputs contain or not."""
     n, q = len(linear.A), linear.G.shape[1]
     A = np.block([[linear.A, np.zeros((n, 1))], [np.zeros((1, n)), np.array([[mode]])]])
     G = np.vstack([linear.G, np.full((1, q), float(driven))])
@@ -238,7 +238,7 @@ def minimum_phase_systems(draw: st.DrawFn, *, margin: float = 1.5, square: bool 
     """
     degrees = draw(st.lists(st.integers(1, 3), min_size=1, max_size=2))
     zeros: list[complex] = []
-    # Distinct real parts: two equal zeros behind one channel would be a mode that no output sees.
+    # Distinct real parts: two equal zeros behind one channel would be an unobservable mode.
     for step in draw(st.lists(st.integers(0, 15), max_size=3, unique=True)):
         pair = draw(st.booleans()) and len(_modal(zeros)) < 2
         zeros.append(complex(-margin - 0.1 - 0.4 * step, draw(st.floats(0.5, 6.0)) if pair else 0.0))

@@ -1,4 +1,4 @@
-"""The baselines of the accuracy benchmark are what they claim to be, so that beating them means something."""
+"""The baselines of the accuracy benchmark are correct, so that the comparison is fair."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmarks run, and give the figures that their page takes."""
+"""The benchmarks run, and return the figures for their page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is the same on every processor: the digits that are written down, and how the suite runs other kernels."""
+"""Written digits are the same on every processor, and the suite runs other kernels."""
 
 from __future__ import annotations
 

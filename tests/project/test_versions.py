@@ -1,4 +1,4 @@
-"""Which Pythons `make versions` uses, and what it says where there is none."""
+"""Which Pythons `make versions` uses, and its message if there is none."""
 
 from __future__ import annotations
 

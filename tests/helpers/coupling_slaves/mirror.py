@@ -6,7 +6,7 @@ DISCRETE = {"variability": Fmi2Variability.discrete}
 
 
 class Mirror(Fmi2Slave):
-    """Gives back each step what it was given, one variable of each type; warns when the label says so."""
+    """Returns its inputs at each step, one variable of each type; warns if the label says so."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)

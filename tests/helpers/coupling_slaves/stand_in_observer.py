@@ -2,7 +2,7 @@ from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
 
 
 class FlexibleJointObserver(Fmi2Slave):
-    """The variables that ssp/open_loop needs of the observer; it gives back what it received."""
+    """The variables that ssp/open_loop needs of the observer; its outputs are its inputs."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
