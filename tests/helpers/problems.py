@@ -93,7 +93,7 @@ def system_with_zeros(
 
 
 def _relative_degree(channel: int, firsts: Array, seen: Array, lasts: Array) -> int:
-    """Return the number of integrations between the channel and the nearest of its own states that an output contains."""
+    """Return the number of integrations from the channel to the nearest of its own states in an output."""
     own = [k for k in seen if firsts[channel] <= k <= lasts[channel]]
     return int(lasts[channel] - max(own) + 1)
 
