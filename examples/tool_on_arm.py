@@ -8,7 +8,7 @@
 The force acts on the tip, across the forearm; its torques on the joints are n(x) · tool_force with the lever arms
 n = [forearm + upper_arm · cos q₂, forearm]. The direction of this one disturbance turns with the elbow, by 85° for the
 lengths below. n never vanishes: ‖n‖ ≥ forearm. The drives have gears of 100 : 1, so that the rotors' reflected inertia,
-which is constant, is much larger than the links'. 20-bit encoders measure both joint angles. The friction enters where the
+which is constant, is much larger than the links'. 20-bit encoders measure both angles. The friction enters where the
 torques do: the matched case, with n = 4, m = p = 2 and k = 2 lumped inputs, and no zeros. SI units; q₁ and q₂ are
 shoulder_angle and elbow_angle, the latter counted from the stretched arm.
 
