@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ndob_fmu import build, load_model, simulate
-from ndob_fmu.fmu.components import build_components, build_controller
+from ndob_fmu.fmu.components import build_components
+from ndob_fmu.fmu.controller import build_controller
 from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.shipped import shipped_folder

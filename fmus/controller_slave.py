@@ -11,7 +11,7 @@ import numpy as np
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
-from ndob_fmu.interface.component_variables import controller_variables, gains
+from ndob_fmu.interface.controller_variables import controller_variables, gains
 from ndob_fmu.runtime.blocks.controller import Controller, Feedback, Target
 from ndob_fmu.runtime.equations import Equations
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.interface.component_variables import source_variables
 from ndob_fmu.runtime.blocks.disturbance_source import Signal, disturbance_source
 from ndob_fmu.runtime.times import same_time
 
@@ -15,9 +14,6 @@ class DisturbanceSourceSlave(Slave):
     """Shows the disturbance at the end of each step; it remembers the time only."""
 
     state: float
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__(source_variables(), **kwargs)
 
     def start(self, start_time: float) -> None:
         """Make the signal from the parameters."""

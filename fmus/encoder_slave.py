@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from fmus.slave_sampling import SamplingSlave
-from ndob_fmu.interface.component_variables import encoder_variables
 from ndob_fmu.runtime.blocks.encoder import Encoder
 
 
@@ -14,9 +13,6 @@ class EncoderSlave(SamplingSlave):
     """Takes the sample that is due at the end of a step, and shows those whose delay is over."""
 
     measured = "angle"
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__(encoder_variables(), **kwargs)
 
     def make(self, parameters: Mapping[str, Any]) -> Encoder:
         """Make the encoder."""

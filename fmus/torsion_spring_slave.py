@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmus.slave_base import Slave
-from ndob_fmu.interface.component_variables import spring_variables
 from ndob_fmu.runtime.blocks.torsion_spring import spring_torques
 
 
 class TorsionSpringSlave(Slave):
     """Shows the torques for the angles that a step begins with; it remembers nothing."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__(spring_variables(), **kwargs)
 
     def start(self, start_time: float) -> None:
         """There is nothing to make."""

@@ -13,7 +13,8 @@ from hypothesis import settings
 
 from ndob_fmu import build, load_model
 from ndob_fmu.cosim import parameter_sets
-from ndob_fmu.fmu.components import build_components, build_controller
+from ndob_fmu.fmu.components import build_components
+from ndob_fmu.fmu.controller import build_controller
 from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.shipped import shipped_folder
 

@@ -58,8 +58,14 @@ def add_model_commands(commands: Commands) -> None:
         )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
-    parser = add_command(commands, "build", _build, "Build <Name>Plant.fmu and <Name>Observer.fmu.", slow=True)
-    parser.add_argument("model", metavar="MODEL", help=MODEL_HELP)
+    parser = add_command(
+        commands,
+        "build",
+        _build,
+        "Build <Name>Plant.fmu and <Name>Observer.fmu; without a MODEL the component FMUs that fit any plant.",
+        slow=True,
+    )
+    parser.add_argument("model", metavar="MODEL", nargs="?", help=MODEL_HELP)
     parser.add_argument(
         "--out", type=Path, default=BUILD / "fmus", metavar="DIR", help="folder of the FMUs (%(default)s)"
     )
@@ -119,15 +125,24 @@ def _build(options: argparse.Namespace) -> int:
     return 0
 
 
-def _build_all(name: str, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
-    """Build one after the other and yield their paths; the controller, whose design may fail, is the last FMU."""
+def _build_all(name: str | None, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
+    """Build one after the other and yield their paths; the controller, whose design may fail, is the last FMU.
+
+    Without the name of a model the components that fit any plant are built.
+    """
     from ndob_fmu.cosim import parameter_sets
     from ndob_fmu.fmu import build
-    from ndob_fmu.fmu.components import build_components, build_controller
+    from ndob_fmu.fmu.components import build_components
+    from ndob_fmu.fmu.controller import build_controller
     from ndob_fmu.model.loading import load_model
     from ndob_fmu.packages import build_ssp
     from ndob_fmu.support.shipped import shipped_folder
 
+    if name is None:
+        if systems is not None:
+            raise UsageError.report("build --systems", expected="the MODEL that the systems contain", received="none")
+        yield from build_components(out)
+        return
     model = load_model(name)
     yield from build(model, out)
     if components or systems is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ndob_fmu.fmu.icon import draw_icon
+from ndob_fmu.fmu.icon import draw_icon, model_icon
 from ndob_fmu.fmu.manual import TEXTS, Part, manual
 from ndob_fmu.interface.model_variables import Variable
 from ndob_fmu.model.model import Model
@@ -15,7 +15,7 @@ from ndob_fmu.model.model import Model
 
 def extras(model: Model, part: Part, variables: Sequence[Variable]) -> dict[str, bytes]:
     """Return the contents of these files for the plant or the observer of a model, by their path in the archive."""
-    return surroundings(manual(model, part, variables), draw_icon(model, part))
+    return surroundings(manual(model, part, variables), draw_icon(model_icon(model, part)))
 
 
 def surroundings(page: str, icon: bytes) -> dict[str, bytes]:

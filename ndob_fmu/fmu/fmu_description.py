@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ndob_fmu.interface.model_variables import METHODS, Variable
-from ndob_fmu.runtime.blocks.disturbance import KINDS
-from ndob_fmu.runtime.blocks.disturbance_source import INTERPOLATIONS, SOURCE_KINDS
-from ndob_fmu.runtime.blocks.sampled_measurement import MISSING
+from ndob_fmu.interface.model_variables import Variable
 from ndob_fmu.runtime.equations import Experiment
 
 # Modelica's names. A unit that stands for several quantities, like N.m for energy too, has the one that plants mean.
@@ -39,29 +36,6 @@ _QUANTITIES = {
     "rad/s": "AngularVelocity",
     "rad/s2": "AngularAcceleration",
     "s": "Time",
-}
-
-_ENUMERATIONS: Mapping[str, Mapping[str, int]] = {
-    "DisturbanceKind": KINDS,
-    "SourceKind": SOURCE_KINDS,
-    "Interpolation": INTERPOLATIONS,
-    "MissingSample": MISSING,
-    "Method": METHODS,
-}
-_ITEM_DESCRIPTIONS = {
-    "none": "d = 0",
-    "constant": "amplitude at all times",
-    "ramp": "amplitude times the time since start_time",
-    "sine": "amplitude sin(2 pi frequency (t - start_time)) from start_time on",
-    "step": "amplitude from start_time on",
-    "chirp": "a sine whose frequency rises from 0 to frequency in 10 s and stays there",
-    "noise": "Gaussian noise of standard deviation amplitude, flat up to frequency and none above",
-    "profile": "the rows of a file",
-    "linear": "on the line through the rows",
-    "held": "the value before",
-    "not_a_number": "NaN, which the observer skips",
-    "paper": "the paper's observer, eqs. (22) to (24), integrated inside the step",
-    "sampled_data": "the sampled-data design, exact at the communication points",
 }
 
 
@@ -103,15 +77,16 @@ def declared_types(variables: Sequence[Variable]) -> dict[str, DeclaredType]:
     No type has the name of a variable, which FMI forbids.
     """
     taken = {variable.name for variable in variables}
+    enumerations = {variable.enumeration.name: variable.enumeration for variable in variables if variable.enumeration}
     types: dict[str, DeclaredType] = {}
     for key in sorted({type_key(variable) for variable in variables} - {""}):
-        enumeration = _ENUMERATIONS.get(key)
+        enumeration = enumerations.get(key)
         name = key if enumeration else _QUANTITIES.get(key) or "Unit_" + _as_identifier(key)
         while name in taken:
             name += "_"
         taken.add(name)
         if enumeration:
-            items = tuple((item, value, _ITEM_DESCRIPTIONS[item]) for item, value in enumeration.items())
+            items = tuple((item, value, enumeration.texts[item]) for item, value in enumeration.items.items())
             types[key] = DeclaredType(name, items=items)
         else:
             types[key] = DeclaredType(name, unit=key, quantity=_QUANTITIES.get(key, ""))
@@ -120,10 +95,7 @@ def declared_types(variables: Sequence[Variable]) -> dict[str, DeclaredType]:
 
 def type_key(variable: Variable) -> str:
     """Return the key of a variable's declared type: its unit or the name of its enumeration; "" for no type."""
-    for name, items in _ENUMERATIONS.items():
-        if variable.items == items:
-            return name
-    return variable.unit
+    return variable.enumeration.name if variable.enumeration else variable.unit
 
 
 def _as_identifier(unit: str) -> str:

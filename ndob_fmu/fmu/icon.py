@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import matplotlib
@@ -17,16 +18,34 @@ _SIZE, _DPI = 200, 100  # pixels; FMI recommends at least 100
 _COLOURS = {"Plant": ("#1f4e79", "#eaf2fa"), "Observer": ("#7a3e00", "#fdf1e3")}
 
 
-def draw_icon(model: Model, part: Part) -> bytes:
-    """Return the icon of a model's plant or observer as PNG."""
-    return draw_block(model.name, part.lower(), *_signals(model, part), *_COLOURS[part])
+@dataclass(frozen=True)
+class Icon:
+    """A block with a title and the symbols of its signals.
 
-
-def draw_block(name: str, label: str, into: Sequence[str], out: Sequence[str], ink: str, face: str) -> bytes:
-    """Return a block with a name, a label below it and the symbols of its signals as PNG, in the colours ink and face.
-
-    The same arguments give the same bytes, whatever style the user has set for figures.
+    title: in the block, broken into two lines where it is long
+    label: below the title, smaller
+    into: symbols at the arrows that lead into the block, as Matplotlib's mathtext
+    out: the same for the arrows that lead out of it
+    ink: colour of lines and text
+    face: colour of the block
     """
+
+    title: str
+    label: str
+    into: Sequence[str]
+    out: Sequence[str]
+    ink: str = "#2d5a27"
+    face: str = "#edf5ea"
+
+
+def model_icon(model: Model, part: Part) -> Icon:
+    """Return the icon of a model's plant or observer."""
+    return Icon(model.name, part.lower(), *_signals(model, part), *_COLOURS[part])
+
+
+def draw_icon(icon: Icon) -> bytes:
+    """Return the icon as PNG. The same icon gives the same bytes, whatever style the user has set for figures."""
+    ink = icon.ink
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         figure = Figure(figsize=(_SIZE / _DPI, _SIZE / _DPI), dpi=_DPI)
@@ -34,10 +53,10 @@ def draw_block(name: str, label: str, into: Sequence[str], out: Sequence[str], i
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
         axes.set_axis_off()
         block = FancyBboxPatch(
-            (0.2, 0.16), 0.6, 0.68, boxstyle="round,pad=0,rounding_size=0.04", fc=face, ec=ink, lw=2.0
+            (0.2, 0.16), 0.6, 0.68, boxstyle="round,pad=0,rounding_size=0.04", fc=icon.face, ec=ink, lw=2.0
         )
         axes.add_patch(block)
-        for x, symbols in ((0.02, into), (0.8, out)):
+        for x, symbols in ((0.02, icon.into), (0.8, icon.out)):
             for k, symbol in enumerate(symbols):
                 y = 0.84 - 0.68 * (k + 1) / (len(symbols) + 1)
                 axes.annotate(
@@ -47,8 +66,8 @@ def draw_block(name: str, label: str, into: Sequence[str], out: Sequence[str], i
                     arrowprops={"arrowstyle": "-|>", "color": ink, "shrinkA": 0, "shrinkB": 0},
                 )
                 axes.text(x + 0.07, y + 0.03, symbol, ha="center", va="bottom", size=11, color=ink)
-        axes.text(0.5, 0.6, _broken(name), ha="center", va="center", size=_fitting(name), color=ink)
-        axes.text(0.5, 0.33, label, ha="center", va="center", size=9, style="italic", color=ink)
+        axes.text(0.5, 0.6, _broken(icon.title), ha="center", va="center", size=_fitting(icon.title), color=ink)
+        axes.text(0.5, 0.33, icon.label, ha="center", va="center", size=9, style="italic", color=ink)
         png = io.BytesIO()
         figure.savefig(png, format="png", metadata={"Software": None})
     return png.getvalue()

@@ -14,6 +14,42 @@ _PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
 
 
 @dataclass(frozen=True)
+class Enumeration:
+    """A type whose values have names.
+
+    name: of the type in the model description
+    items: the value of each item
+    texts: what each item means
+    """
+
+    name: str
+    items: Mapping[str, int]
+    texts: Mapping[str, str]
+
+
+METHOD = Enumeration(
+    "Method",
+    METHODS,
+    {
+        "paper": "the paper's observer, eqs. (22) to (24), integrated inside the step",
+        "sampled_data": "the sampled-data design, exact at the communication points",
+    },
+)
+DISTURBANCE_KIND = Enumeration(
+    "DisturbanceKind",
+    KINDS,
+    {
+        "none": "d = 0",
+        "constant": "amplitude at all times",
+        "ramp": "amplitude times the time since start_time",
+        "sine": "amplitude sin(2 pi frequency (t - start_time)) from start_time on",
+        "step": "amplitude from start_time on",
+        "chirp": "a sine whose frequency rises from 0 to frequency in 10 s and stays there",
+    },
+)
+
+
+@dataclass(frozen=True)
 class Variable:
     """One FMI variable.
 
@@ -32,10 +68,15 @@ class Variable:
     minimum: float | None = None
     maximum: float | None = None
     nominal: float | None = None
-    items: Mapping[str, int] | None = None
+    enumeration: Enumeration | None = None
     depends_on: tuple[str, ...] = ()
     sampled: bool = False
     positive: bool = False
+
+    @property
+    def items(self) -> Mapping[str, int] | None:
+        """The values of an Enumeration by their names; None for other types."""
+        return self.enumeration.items if self.enumeration else None
 
     @property
     def variability(self) -> str:
@@ -43,6 +84,35 @@ class Variable:
         if self.causality == "parameter":
             return "fixed"
         return "continuous" if self.type == "Real" and not self.sampled else "discrete"
+
+
+def parameter(
+    name: str,
+    start: float | int | bool | str,
+    description: str,
+    *,
+    type: str = "Real",  # noqa: A002 # as FMI and `Variable` call it
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    positive: bool = False,
+    enumeration: Enumeration | None = None,
+) -> Variable:
+    """Return a parameter. A Real far from 1 gets the size of its start value as its nominal value."""
+    far_from_one = type == "Real" and not 1e-3 < (abs(float(start)) or 1.0) < 1e3
+    return Variable(
+        name=name,
+        causality="parameter",
+        description=description,
+        type="Enumeration" if enumeration else type,
+        start=start,
+        unit=unit,
+        positive=positive,
+        minimum=0.0 if positive else minimum,
+        maximum=maximum,
+        nominal=abs(float(start)) if far_from_one else None,
+        enumeration=enumeration,
+    )
 
 
 def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
@@ -71,7 +141,7 @@ def plant_variables(eq: Equations) -> tuple[Variable, ...]:
         for name, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
     ]
     starts = [
-        _parameter(f"{name}_start", value, f"Start value of {name}", unit=_unit(eq, name))
+        parameter(f"{name}_start", value, f"Start value of {name}", unit=_unit(eq, name))
         for name, value in zip(eq.states, eq.x0, strict=True)
     ]
     generators = [variable for name in eq.disturbances for variable in _generator(eq, name)]
@@ -117,11 +187,11 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         )
     )
     starts = [
-        _parameter(f"{name}_hat_start", value, f"Start value of the estimate of {name}", unit=_unit(eq, name))
+        parameter(f"{name}_hat_start", value, f"Start value of the estimate of {name}", unit=_unit(eq, name))
         for name, value in zip(eq.states, eq.xhat0, strict=True)
     ]
     starts += [
-        _parameter(
+        parameter(
             f"{name}_hat_start_std",
             value,
             f"Standard deviation of {name}_hat_start",
@@ -137,33 +207,32 @@ def _tuning(eq: Equations) -> list[Variable]:
     o = eq.observer
     bounds, rates = (for_each_disturbance(name, eq.disturbances) for name in _PER_DISTURBANCE)
     return [
-        _parameter(
+        parameter(
             "method",
             o.method,
             "1: the paper's observer, eqs. 22-24, integrated inside the step; 2: sampled-data design",
-            type_="Enumeration",
-            items=METHODS,
+            enumeration=METHOD,
         ),
-        _parameter(
+        parameter(
             "disturbance_order",
             o.disturbance_order,
             "Method 2: r, the number of derivatives of the disturbance that the observer carries",
-            type_="Integer",
+            type="Integer",
             minimum=0,
             maximum=3,
         ),
-        _parameter(
+        parameter(
             "noise_std",
             o.noise_std,
             "Standard deviation of the noise in a sample of each output, in its unit; 0: as fast as rounding lets",
             minimum=0.0,
         ),
         *(
-            _parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)
+            parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)
             for d, value in zip(eq.disturbances, eq.disturbance_bound, strict=True)
         ),
         *(
-            _parameter(
+            parameter(
                 rates[d],
                 value,
                 f"Bound of the r-th derivative of {d} (of the first, for r = 0), per s^r; 0: pi_end sets the pace",
@@ -171,16 +240,16 @@ def _tuning(eq: Equations) -> list[Variable]:
             )
             for d, value in zip(eq.disturbances, eq.disturbance_rate, strict=True)
         ),
-        _parameter(
+        parameter(
             "alpha",
             o.alpha,
             "Prescribed stability; below the distance of the transmission zeros from the imaginary axis",
             unit="1/s",
             positive=True,
         ),
-        _parameter("pi_start", o.pi_start, "Method 1: pi of the Riccati equation at the start", positive=True),
-        _parameter("pi_end", o.pi_end, "Design parameter pi; of method 1 after the ramp", positive=True),
-        _parameter(
+        parameter("pi_start", o.pi_start, "Method 1: pi of the Riccati equation at the start", positive=True),
+        parameter("pi_end", o.pi_end, "Design parameter pi; of method 1 after the ramp", positive=True),
+        parameter(
             "pi_ramp_time",
             o.pi_ramp_time,
             "Method 1: time in which pi rises geometrically to pi_end; 0 starts there and peaks",
@@ -193,24 +262,23 @@ def _tuning(eq: Equations) -> list[Variable]:
 def _generator(eq: Equations, name: str) -> list[Variable]:
     prefix, signal = for_each_disturbance("disturbance", eq.disturbances)[name], eq.disturbance
     return [
-        _parameter(
+        parameter(
             f"{prefix}.kind",
             KINDS[signal.kind],
             f"Signal that the built-in generator adds to {name}",
-            type_="Enumeration",
-            items=KINDS,
+            enumeration=DISTURBANCE_KIND,
         ),
-        _parameter(
+        parameter(
             f"{prefix}.amplitude", signal.amplitude, "Amplitude; of a ramp the rise per second", unit=_unit(eq, name)
         ),
-        _parameter(
+        parameter(
             f"{prefix}.frequency",
             signal.frequency,
             "Frequency of the sine; end frequency of the chirp",
             unit="Hz",
             minimum=0.0,
         ),
-        _parameter(
+        parameter(
             f"{prefix}.start_time", signal.start_time, "Time at which ramp, sine, step or chirp begins", unit="s"
         ),
     ]
@@ -218,36 +286,9 @@ def _generator(eq: Equations, name: str) -> list[Variable]:
 
 def _model_parameters(eq: Equations) -> list[Variable]:
     return [
-        _parameter(name, value, eq.descriptions.get(name, name.replace("_", " ")), unit=_unit(eq, name))
+        parameter(name, value, eq.descriptions.get(name, name.replace("_", " ")), unit=_unit(eq, name))
         for name, value in eq.parameters.items()
     ]
-
-
-def _parameter(
-    name: str,
-    start: float,
-    description: str,
-    *,
-    type_: str = "Real",
-    unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
-    positive: bool = False,
-    items: Mapping[str, int] | None = None,
-) -> Variable:
-    return Variable(
-        name=name,
-        causality="parameter",
-        description=description,
-        type=type_,
-        start=start,
-        unit=unit,
-        positive=positive,
-        minimum=0.0 if positive else minimum,
-        maximum=maximum,
-        nominal=abs(start) if type_ == "Real" and not 1e-3 < (abs(start) or 1.0) < 1e3 else None,
-        items=items,
-    )
 
 
 def _output(

@@ -17,6 +17,8 @@ from ctypes import byref, c_size_t, c_void_p, create_string_buffer
 from math import inf, isinf, nan
 from random import Random
 
+from tests.helpers.component_settings import moved
+
 from ..fuzz.library import DISCARD, ERROR, OK, WARNING, Library
 from .apart import main
 
@@ -69,10 +71,10 @@ def situations(library: Library) -> Iterator[tuple[int, c_void_p]]:
     choices: list[dict[str, float]] = [{}]
     if library.name.endswith("Observer"):
         choices = [{"method": 1, "pi_end": 1e6}, *({"method": 2, "disturbance_order": order} for order in range(4))]
-    elif library.name == "Encoder":
-        choices = [{}, {"sample_time": 0.002, "delay": 0.005}]
     elif library.name == "DisturbanceSource":
         choices = [{"disturbance.kind": kind} for kind in (1, 3, 6)]
+    elif not library.name.endswith(("Plant", "Controller")):
+        choices = [{}, moved(library.variables)]
     for choice in choices:
         for mode in (INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED):
             yield mode, led(library, mode, choice)

@@ -18,6 +18,7 @@ import ndob_fmu
 from ndob_fmu import load_model
 from ndob_fmu.analysis.design import design
 from ndob_fmu.cli import main
+from ndob_fmu.fmu.components import records
 from tests.helpers.clean_process import ENVIRONMENT
 from tests.helpers.problems import EXAMPLES
 
@@ -124,6 +125,8 @@ def test_design_gives_json_with_the_keys_of_the_contract(capsys):
 
 # -- build
 
+COMPONENTS = [f"{record.name}.fmu" for record in records()]
+
 
 def test_build_writes_both_fmus_and_names_them(capsys, flexible_joint):
     assert main(["build", "flexible_joint"]) == 0
@@ -134,12 +137,12 @@ def test_build_writes_both_fmus_and_names_them(capsys, flexible_joint):
 
 
 def test_build_also_writes_the_other_components_and_packs_the_shipped_systems(capsys, flexible_joint, shipped):
-    others = ["DisturbanceSource.fmu", "Encoder.fmu", "TorsionSpring.fmu", "FlexibleJointController.fmu"]
+    others = [*COMPONENTS, "FlexibleJointController.fmu"]
     assert main(["build", "flexible_joint", "--out", "f", "--components"]) == 0
     assert capsys.readouterr().out.split()[2:] == [str(Path("f", name)) for name in others]
     assert main(["build", "flexible_joint", "--out", "f", "--systems", "s"]) == 0
     packages = sorted(path.name for path in shipped.systems.iterdir())
-    assert sorted(capsys.readouterr().out.split()[6:]) == [str(Path("s", name)) for name in packages]
+    assert sorted(capsys.readouterr().out.split()[2 + len(others) :]) == [str(Path("s", name)) for name in packages]
     for name in packages:
         assert Path("s", name).read_bytes() == (shipped.systems / name).read_bytes()
 
@@ -150,11 +153,22 @@ model = Model(name="Adrift", states=["v"], outputs=["v"], disturbances=["d"], A=
 """
 
 
+def test_build_without_a_model_writes_the_components_that_fit_any_plant(capsys, shipped):
+    assert main(["build", "--out", "f"]) == 0
+    assert capsys.readouterr().out.split() == [str(Path("f", name)) for name in COMPONENTS]
+    assert Path("f", "Encoder.fmu").read_bytes() == (shipped.fmus / "Encoder.fmu").read_bytes()
+    assert main(["build", "--out", "g", "--systems", "s"]) == 2
+    assert capsys.readouterr().err == (
+        "ndob-fmu: build --systems: expected the MODEL that the systems contain, received none\n"
+    )
+    assert not Path("g").exists()
+
+
 def test_a_plant_that_no_controller_fits_still_gets_the_other_components(capsys, tmp_path):
     (tmp_path / "adrift.py").write_text(ADRIFT)
     assert main(["build", str(tmp_path / "adrift.py"), "--out", "f", "--components"]) == 2
     out, err = capsys.readouterr()
-    built = ["AdriftPlant.fmu", "AdriftObserver.fmu", "DisturbanceSource.fmu", "Encoder.fmu", "TorsionSpring.fmu"]
+    built = ["AdriftPlant.fmu", "AdriftObserver.fmu", *COMPONENTS]
     assert out.split() == [str(Path("f", name)) for name in built]
     assert sorted(path.name for path in Path("f").iterdir()) == sorted(built)
     assert err == "ndob-fmu: the controller of Adrift: expected a plant with inputs, received none\n"
@@ -172,7 +186,7 @@ def test_the_script_build_fmu_does_the_same(flexible_joint, shipped):
         assert Path("fmus", fmu.name).read_bytes() == fmu.read_bytes()
     run()
     assert {path.name for path in Path("build/ssp").iterdir()} == {path.name for path in shipped.systems.iterdir()}
-    assert len(list(Path("build/fmus").iterdir())) == 6
+    assert {path.name for path in Path("build/fmus").iterdir()} == {path.name for path in shipped.fmus.glob("*.fmu")}
 
 
 # -- simulate

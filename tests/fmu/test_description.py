@@ -18,7 +18,7 @@ import ndob_fmu
 from ndob_fmu import Model, build
 from ndob_fmu.fmu.fmi2_xml import model_description
 from ndob_fmu.fmu.fmu_description import FmuDescription
-from ndob_fmu.interface.model_variables import METHODS, Variable
+from ndob_fmu.interface.model_variables import METHOD, Variable
 from ndob_fmu.runtime.equations import Experiment
 from tests.helpers.clean_process import fmpy as fmpy_command
 from tests.helpers.fmi_instance import OK, opened
@@ -127,7 +127,7 @@ SMALL = FmuDescription(
         Variable("torque", "output", "Torque", unit="N.m", depends_on=("angle",), nominal=5.0, minimum=0.0),
         Variable("valid", "output", "Flag", type="Boolean"),
         Variable("gain", "parameter", "Gain", start=0.1 + 0.2, minimum=0, maximum=1e300),
-        Variable("method", "parameter", "Method", "Enumeration", 2, items=METHODS),
+        Variable("method", "parameter", "Method", "Enumeration", 2, enumeration=METHOD),
         Variable("seed", "parameter", "Seed", "Integer", 7, minimum=0),
         Variable("on", "parameter", "Switch", "Boolean", True),
         Variable("file", "parameter", "Path", "String", "a&b"),

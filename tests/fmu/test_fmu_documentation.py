@@ -20,7 +20,7 @@ import sympy
 
 from ndob_fmu import Model
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.fmu.icon import draw_icon
+from ndob_fmu.fmu.icon import draw_icon, model_icon
 from ndob_fmu.fmu.manual import manual
 from ndob_fmu.interface.model_variables import observer_variables, plant_variables
 from tests.helpers.problems import MODELS
@@ -87,28 +87,30 @@ def test_the_icon_is_a_picture_of_the_size_that_fmi_recommends(files):
 
 
 def test_icons_tell_plant_from_observer_and_one_model_from_another():
-    drawn = {draw_icon(model, part) for model in MODELS.values() for part in ("Plant", "Observer")}
+    drawn = {draw_icon(model_icon(model, part)) for model in MODELS.values() for part in ("Plant", "Observer")}
     assert len(drawn) == 2 * len(MODELS)
 
 
 def test_a_plant_without_inputs_shows_none():
     with_input = tank(name="Same", inputs=["pump"], B=[[1]])
-    left = [pixels(draw_icon(model, "Plant"))[:, 4:36, :3] < 0.6 for model in (tank(name="Same"), with_input)]
+    left = [
+        pixels(draw_icon(model_icon(model, "Plant")))[:, 4:36, :3] < 0.6 for model in (tank(name="Same"), with_input)
+    ]
     arrows = [np.flatnonzero(ink.any(axis=2).mean(axis=1) > 0.9) for ink in left]
     assert [len(np.flatnonzero(np.diff(rows, prepend=-9) > 1)) for rows in arrows] == [1, 2]
 
 
 def test_a_users_style_for_figures_changes_neither_the_icon_nor_is_it_changed():
-    before = draw_icon(MODELS["flexible_joint"], "Plant")
+    before = draw_icon(model_icon(MODELS["flexible_joint"], "Plant"))
     with matplotlib.rc_context({"font.size": 30, "savefig.dpi": 300, "lines.linewidth": 9, "font.family": "serif"}):
-        assert draw_icon(MODELS["flexible_joint"], "Plant") == before
+        assert draw_icon(model_icon(MODELS["flexible_joint"], "Plant")) == before
         assert matplotlib.rcParams["savefig.dpi"] == 300
 
 
 @pytest.mark.parametrize("name", ["X", "AVeryLongNameOfAPlantThatGoesOnAndOn", "with_underscores_in_it", "a" * 40])
 def test_a_name_of_any_length_stays_inside_the_block(name):
-    drawn = pixels(draw_icon(tank(name=name), "Plant"))
-    other = pixels(draw_icon(tank(name="Y"), "Plant"))
+    drawn = pixels(draw_icon(model_icon(tank(name=name), "Plant")))
+    other = pixels(draw_icon(model_icon(tank(name="Y"), "Plant")))
     differs = (drawn != other).any(axis=(0, 2))
     assert differs.any()
     assert not differs[:42].any()

@@ -13,6 +13,7 @@ from random import Random
 import numpy as np
 import pytest
 
+from ndob_fmu.fmu.components import records
 from ndob_fmu.runtime.blocks.encoder import Encoder
 from tests.attacks.steps import adding_up, coupled, run, with_odd_steps
 from tests.helpers.fmi_instance import OK, opened, unpacked
@@ -102,14 +103,7 @@ def test_a_first_step_that_is_very_short_does_not_set_the_pace_of_the_observer(p
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "FlexibleJointPlant",
-        "FlexibleJointObserver",
-        "FlexibleJointController",
-        "Encoder",
-        "DisturbanceSource",
-        "TorsionSpring",
-    ],
+    [*(f"FlexibleJoint{part}" for part in ("Plant", "Observer", "Controller")), *(one.name for one in records())],
 )
 def test_a_step_of_rounding_size_advances_the_time_of_an_fmu_and_nothing_else(shipped, name):
     H, start, steps = 1e-2, 0.3, 50

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from ndob_fmu.fmu.components import design_controller
+from ndob_fmu.analysis.controller_design import design_controller
 from ndob_fmu.support.digits import certain_digits
 from tests.helpers.problems import MODELS
 from tests.kernels import KERNELS, digest, environment, running, verdict

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ndob_fmu.fmu.components import records
+from tests.helpers.component_settings import moved
 from tests.windows.machine import HOST, PYTHON, ROOT, run, what_is_missing, windows_path
 
 FMUS = sorted((ROOT / "build" / "fmus").glob("*.fmu"))
@@ -25,9 +27,9 @@ EQUAL, EQUAL_AT_HIGHEST_GAIN = 1e-11, 1e-8
 SINE = {"disturbance.kind": 3, "disturbance.amplitude": 1.5, "disturbance.frequency": 0.8}
 OBSERVER = "FlexibleJointObserver"
 VARIANTS = {
+    **{record.name: {"": moved(record.variables)} for record in records()},
     "FlexibleJointPlant": {"": SINE},
     "DisturbanceSource": {"": SINE, ", noise": SINE | {"disturbance.kind": 6}},
-    "Encoder": {"": {"counts_per_revolution": 4096, "noise_std": 1e-4, "sample_time": 5e-3, "delay": 2e-3}},
     OBSERVER: {"": {}, ", noise": {"noise_std": 1e-6}, ", method 1": {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.5}},
 }
 RUN = ("new fmu", "setup 0", "enter", "exit", "run 200 0.001 {inputs} {outputs}", "terminate", "free")

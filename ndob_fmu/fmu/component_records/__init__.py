@@ -1,0 +1,1 @@
+"""One module for each component FMU that fits any plant; it defines `RECORD`."""
