@@ -13,8 +13,8 @@ import plotly.graph_objects as go
 from ndob_fmu.report.content import Content, Section, Table, pretty, text
 from ndob_fmu.report.lines import LAYOUT
 from ndob_fmu.results.json_files import read_sealed_json
+from ndob_fmu.study.axes import Axis, axes_of, cell_medians, named, pairs_of, parameters_of, point_medians
 from ndob_fmu.study.columns import RUN
-from ndob_fmu.study.figures import Axis, axes_of, cell_medians, named, pairs_of, parameters_of, point_medians
 from ndob_fmu.study.plan import read_plan
 from ndob_fmu.study.store import column, read_runs
 from ndob_fmu.study.summary import statistics

@@ -19,7 +19,7 @@ from ndob_fmu.report.signals import estimates, spans, thinned, usual_range
 from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.results.plots import decades
 from ndob_fmu.results.recording import Recording
-from ndob_fmu.study.figures import Axis, cell_medians, pairs_of, point_medians
+from ndob_fmu.study.axes import Axis, cell_medians, pairs_of, point_medians
 from tests.helpers.browser import browser, requests, screenshot
 
 STUDY = """

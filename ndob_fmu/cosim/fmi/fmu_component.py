@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from ctypes import byref
 from pathlib import Path
 from typing import Any
 
-import fmpy
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 
@@ -19,6 +16,7 @@ from ndob_fmu.cosim.component import Ended, Value, Variable, recordable
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.archive import open_archive
 from ndob_fmu.cosim.fmi.buffers import Buffer, buffers, fmi_call
+from ndob_fmu.cosim.fmi.instance import NoInstanceError, instantiate
 from ndob_fmu.cosim.fmi.log import FmuLog
 from ndob_fmu.cosim.fmi.model_description import read_description
 from ndob_fmu.errors import NdobError, SimulationError
@@ -95,7 +93,11 @@ class FmuComponent:
             self._folder = make_folder()
             with open_archive(self.path) as archive:
                 archive.extractall(self._folder)
-            self._fmu = self._load(self._folder)
+            try:
+                self._fmu = instantiate(self._folder, self.name, self._description, self._log.callbacks)
+            except NoInstanceError as error:
+                received = error.received.replace(str(self._folder), self.path.name)
+                raise self._refusal(error.expected, received) from error
             always = fmi2.fmi2Boolean(fmi2.fmi2True)
             self._do_step = fmi_call(self._fmu, "fmi2DoStep", self._begin, self._duration, always)
         self._call(self._fmu.setupExperiment, tolerance or self.experiment.tolerance, start_time, stop_time)
@@ -215,49 +217,6 @@ class FmuComponent:
     def _forget_arrays(self) -> None:
         self._set_from = self._got_into = None
         self._setters, self._getters = [], []
-
-    def _load(self, folder: Path) -> Any:
-        location, here = self._location(folder), Path.cwd()
-        try:
-            fmu = fmi2.FMU2Slave(
-                instanceName=self.name,
-                guid=self._description.guid,
-                modelIdentifier=self._description.model_identifier,
-                unzipDirectory=str(folder),
-            )
-        except Exception as error:  # fmpy raises plain Exception; ctypes AttributeError for a missing function
-            raise self._refusal(
-                "a library that can be loaded", str(error).replace(str(folder), self.path.name)
-            ) from error
-        finally:
-            os.chdir(here)  # fmpy stays in the library's folder when loading fails
-        name, guid, uri = (text.encode() for text in (self.name, self._description.guid, location))
-        reason = "none"
-        try:
-            fmu.component = fmu.fmi2Instantiate(
-                name, fmi2.fmi2CoSimulation, guid, uri, byref(self._log.callbacks), False, True
-            )
-        except Exception as error:  # ctypes OSError on Windows, for what elsewhere ends the process
-            reason = str(error)
-        if fmu.component is None:
-            with suppress(Exception):
-                fmu.freeLibrary()
-            raise self._refusal("an instance", reason)
-        return fmu
-
-    def _location(self, folder: Path) -> str:
-        """Return the URI of the FMU's resources in the form that its binary reads.
-
-        pythonfmu's binary decodes no percent code but that of a space, and crashes where a path has another; not so
-        behind the front of our FMUs, where it lies under a name of its own.
-        """
-        resources = folder / "resources"
-        fronted = any((folder / "binaries" / fmpy.platform).glob("pythonfmu-export.*"))
-        if fronted or not (resources / "slavemodule.txt").exists():
-            return resources.as_uri()
-        if "%20" in str(folder):
-            raise self._refusal("a folder for temporary files without %20 in its name", str(folder.parent))
-        return f"file:///{resources.as_posix().lstrip('/')}"
 
     def _buffers(self, names: Sequence[str]) -> list[Buffer]:
         return buffers(names, self._types, self._description.references)

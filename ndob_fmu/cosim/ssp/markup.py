@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from lxml import etree
 
 from ndob_fmu.cosim.ssp.schema import NAMESPACES, Element
-from ndob_fmu.support.units import BaseUnit
 
 TOOLS = {
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
@@ -38,13 +35,6 @@ def annotate(parent: Element, tool: str, *names: str) -> Element:
     for name in names:
         element = add(element, name)
     return element
-
-
-def define_units(parent: Element, name: str, units: Mapping[str, BaseUnit]) -> None:
-    """Add the definitions of these units, if there are any."""
-    group = add(parent, name) if units else None
-    for unit, meaning in sorted(units.items()):
-        add(add(group, "ssc:Unit", name=unit), "ssc:BaseUnit", **meaning.attributes())
 
 
 def text(element: Element) -> bytes:

@@ -16,9 +16,10 @@ from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.archive import Archive, open_archive
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.ssp.parameters import start_values
+from ndob_fmu.cosim.ssp.read_structure import read_structure
 from ndob_fmu.cosim.ssp.scaling import Units, read_units
 from ndob_fmu.cosim.ssp.schema import NAMESPACES, ROOTS_BY_SUFFIX, SSD_NAME, Element, child, local_name, parse
-from ndob_fmu.cosim.ssp.structure import Structure, components, read_structure
+from ndob_fmu.cosim.ssp.structure import Structure, components
 from ndob_fmu.cosim.ssp.supported import check_supported
 from ndob_fmu.cosim.ssp.timing import read_experiment, read_step_ratios
 from ndob_fmu.cosim.system.ports import Port

@@ -16,16 +16,16 @@ from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.ssp import markup
 from ndob_fmu.cosim.ssp.file_names import FileNames, plain
-from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, define_units, tag, text
+from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, tag, text
 from ndob_fmu.cosim.ssp.pack import Restart, as_built, write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.ssp.supported import FMU_TYPE
+from ndob_fmu.cosim.ssp.value_elements import UsedUnits, add_transformation, literal, written_type
 from ndob_fmu.cosim.system.ports import AS_IT_IS, Link, Port
 from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.system.wiring import keep_start_values, undriven_inputs
 from ndob_fmu.cosim.values import convert
-from ndob_fmu.errors import CouplingError, ModelError, UsageError
-from ndob_fmu.support.units import BaseUnit, base_unit
+from ndob_fmu.errors import CouplingError, UsageError
 
 _log = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ class _Writer:
         self._set = parameter_set
         self._names = FileNames()
         self._files: dict[str, Element] = {}
-        self._units: dict[str, BaseUnit] = {}
+        self._units = UsedUnits()
 
     def files(self, experiment: DefaultExperiment, description: str, exposed: set[Port]) -> dict[str, bytes]:
         """Return the texts of all files."""
@@ -127,7 +127,7 @@ class _Writer:
                 "relativeTolerance": "0.0001",
             }
             add(information, "oms:FixedStepMaster", description="oms-ma", **times)
-        define_units(root, "ssd:Units", self._units)
+        self._units.define(root, "ssd:Units")
         _experiment(root, experiment)
         return {name: text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
 
@@ -163,7 +163,7 @@ class _Writer:
         """Write what the system shows: connectors, their start values, and mappings of shared parameters."""
         system = self._system
         kinds: list[tuple[str, str, Variable]] = []
-        plain: dict[str, tuple[Variable, Value]] = {}
+        single: dict[str, tuple[Variable, Value]] = {}
         shared: dict[str, tuple[Variable, Value]] = {}
         for name, links in system.inputs.items():
             variable, value = self._start(name, links)
@@ -172,11 +172,11 @@ class _Writer:
                 continue
             inputs = all(system.variable(link.port).causality == "input" for link in links)
             kinds.append((name, "input" if inputs else "parameter", variable))
-            plain[name] = (variable, value)
+            single[name] = (variable, value)
         kinds += [(name, "output", self._seen(link)) for name, link in system.outputs.items()]
         self._connectors(top, kinds)
-        if plain:
-            self._bind(top, self._parameter_set(self._name, ".boundary.ssv", plain))
+        if single:
+            self._bind(top, self._parameter_set(self._name, ".boundary.ssv", single))
         if shared:
             binding = self._bind(top, self._parameter_set(self._name, ".parameters.ssv", shared))
             add(binding, "ssd:ParameterMapping", source=self._mapping(shared))
@@ -211,7 +211,7 @@ class _Writer:
         for name in shared:
             for link in self._system.inputs[name]:
                 entry = add(root, "ssm:MappingEntry", source=name, target=str(link.port))
-                _transform(entry, link.factor, link.offset)
+                add_transformation(entry, link.factor, link.offset)
         return self._file(self._name, ".parameters.ssm", root)
 
     def _connectors(self, element: Element, kinds: Iterable[tuple[str, str, Variable]]) -> None:
@@ -219,22 +219,20 @@ class _Writer:
         connectors = add(element, "ssd:Connectors") if kinds else None
         for name, kind, variable in kinds:
             connector = add(connectors, "ssd:Connector", name=name, kind=kind)
-            typed = add(connector, f"ssc:{_written(variable)}")
-            if variable.type == "Real" and self._define(variable, self._units):
-                typed.set("unit", variable.unit)
+            typed = add(connector, f"ssc:{written_type(variable)}")
+            self._units.name_unit(typed, variable)
 
     def _parameter_set(self, stem: str, suffix: str, values: Mapping[str, tuple[Variable, Value]]) -> str:
         root = markup.root("ssv:ParameterSet", "ssv", "ssc", version="1.0", name=self._set)
-        parameters, units = add(root, "ssv:Parameters"), dict[str, BaseUnit]()
+        parameters, units = add(root, "ssv:Parameters"), UsedUnits()
         for name, (variable, value) in values.items():
             typed = add(
                 add(parameters, "ssv:Parameter", name=name),
-                f"ssv:{_written(variable)}",
-                value=_literal(variable, value),
+                f"ssv:{written_type(variable)}",
+                value=literal(variable, value),
             )
-            if variable.type == "Real" and self._define(variable, units):
-                typed.set("unit", variable.unit)
-        define_units(root, "ssv:Units", units)
+            units.name_unit(typed, variable)
+        units.define(root, "ssv:Units")
         return self._file(stem, suffix, root)
 
     def _file(self, stem: str, suffix: str, root: Element) -> str:
@@ -260,39 +258,7 @@ class _Writer:
             ends.append((_port("start", port) | {"endConnector": name}, factor, offset))
         connections = add(top, "ssd:Connections") if ends else None
         for attributes, factor, offset in ends:
-            _transform(add(connections, "ssd:Connection", **attributes), factor, offset)
-
-    def _define(self, variable: Variable, units: dict[str, BaseUnit]) -> bool:
-        """Note the variable's unit; a unit that nobody can define is left out, and no tool converts it."""
-        if not variable.unit:
-            return False
-        meaning = variable.base_unit
-        if meaning is None:
-            try:
-                meaning = base_unit(variable.unit)
-            except ModelError:
-                return False
-        if meaning is not None:
-            units[variable.unit] = meaning
-        return meaning is not None
-
-
-def _written(variable: Variable) -> str:
-    """Return the type that goes into the file: libcosim gives up at an Enumeration there."""
-    return "Integer" if variable.type == "Enumeration" else variable.type
-
-
-def _literal(variable: Variable, value: Value) -> str:
-    if variable.type == "Boolean":
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)
-
-
-def _transform(element: Element, factor: float, offset: float) -> None:
-    """Write what a value becomes; it has the conversion of units in it, which not every tool would make."""
-    if (factor, offset) != AS_IT_IS:
-        element.set("suppressUnitConversion", "true")
-        add(element, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+            add_transformation(add(connections, "ssd:Connection", **attributes), factor, offset)
 
 
 def _port(end: str, port: Port) -> dict[str, str]:
