@@ -74,10 +74,10 @@ class Session:
         system, settings = self._system, self._settings
         if STEP_SIZE in point:
             step_size = float(point.pop(STEP_SIZE))
-            system, settings = self._stepped(step_size), {**settings, STEP_SIZE: step_size}
+            system, settings = self.system_for(step_size), {**settings, STEP_SIZE: step_size}
         return simulate(system, start_values={**self._study.fixed, **point}, **settings)
 
-    def _stepped(self, step_size: float) -> System:
+    def system_for(self, step_size: float) -> System:
         """Return the system for a communication step (s), of which its components' own steps are multiples."""
         if step_size not in self._ratios:
             with open_system(self._path, step_size) as (opened, _):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu.cosim import FmuComponent, System, simulate
+from ndob_fmu.cosim.fmi import fmu_component
 from ndob_fmu.cosim.fmi.buffers import fmi_call
 from ndob_fmu.errors import CouplingError, SimulationError, UsageError
 from tests.helpers.coupling_fmus import SLAVES, coupling_fmus
@@ -329,8 +330,8 @@ def test_a_kept_fmu_is_instantiated_once_and_every_run_is_as_if_it_were_the_firs
 
 def count_calls(monkeypatch):
     counts = {"fmi2Instantiate": 0, "reset": 0, "freeInstance": 0}
-    load = FmuComponent._load
-    monkeypatch.setattr(FmuComponent, "_load", lambda self, folder: (note("fmi2Instantiate"), load(self, folder))[1])
+    make = fmu_component.instantiate
+    monkeypatch.setattr(fmu_component, "instantiate", lambda *given: (note("fmi2Instantiate"), make(*given))[1])
 
     def note(name):
         counts[name] += 1

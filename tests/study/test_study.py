@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu.cosim import FmuComponent, System, simulate
+from ndob_fmu.cosim.fmi import fmu_component
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.packages import write_ssp
 from ndob_fmu.results.recording import Recording
@@ -141,16 +142,18 @@ take = "rms"
 
 @C_COMPILER
 def test_a_session_loads_each_fmu_once_and_again_only_after_a_failure(fmus, tmp_path, monkeypatch):
-    load, loaded = FmuComponent._load, []
-    monkeypatch.setattr(FmuComponent, "_load", lambda self, folder: (loaded.append(folder), load(self, folder))[1])
+    make, folders = fmu_component.instantiate, []
+    monkeypatch.setattr(
+        fmu_component, "instantiate", lambda folder, *given: (folders.append(folder), make(folder, *given))[1]
+    )
     text = SLOW.split("[fixed]")[0] + '[list]\nhow = ["", "discard", "", "raise", ""]\n'
     study = read_study(write(tmp_path, "s", text, fmus))
     session = Session(study, {study.system: Path(study.system)})
     rows = [session.run(run) for run in range(5)]
     session.close()
     assert [row["failed"] for row in rows] == [False, False, False, True, False]
-    assert len(loaded) == 2
-    assert not any(folder.exists() for folder in loaded)
+    assert len(folders) == 2
+    assert not any(folder.exists() for folder in folders)
 
 
 RAMP = """
@@ -223,7 +226,7 @@ def test_components_keep_their_own_step_where_the_communication_step_varies(fmus
     for run, step_size in enumerate((0.25, 0.125, 0.5)):
         row, recording = session.run(run), simulate(path, step_size=step_size)
         assert [row[name] for name in monitored] == [recording[name][-1] for name in monitored], row
-        assert session._stepped(step_size).step_ratios.get("slow", 1) == round(0.5 / step_size)
+        assert session.system_for(step_size).step_ratios.get("slow", 1) == round(0.5 / step_size)
     session.close()
     with pytest.raises((UsageError, CouplingError), match=r"0\.2"):
         read_study(write(tmp_path, "odd", text.replace("0.125", "0.2"), fmus))
