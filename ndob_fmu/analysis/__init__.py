@@ -1,1 +1,1 @@
-"""What can be said about a model before anything runs: the checks, and the two designs for people."""
+"""What is known about a model before anything runs: the checks, and the two designs that the commands print."""

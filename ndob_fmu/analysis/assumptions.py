@@ -1,4 +1,4 @@
-"""The paper's assumptions, checked before anything is designed (eqs. 2–4 and 21), each with its measured value.
+"""The paper's assumptions (eqs. 2–4 and 21), checked before any design, each with its measured value.
 
 Modes, ranks and zeros are judged in the balanced units of `ndob_fmu.runtime.numerics.zeros`; rates are reported in 1/s.
 """
@@ -29,10 +29,13 @@ _AXIS_TOLERANCE = 1e-9  # of the larger of |z| and the plant's own rate: a zero 
 
 
 def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, float] | None = None) -> Report:
-    """Check the paper's assumptions for a model at α (1/s; the model's own if None) and, where given, other parameters.
+    """Check the paper's assumptions for a model.
 
-    Raises UsageError where α is not a positive number and ModelError for a parameter that the model does not have;
-    an assumption that does not hold is a row of the report, not an exception.
+    alpha: α in 1/s; None for the model's own.
+    parameters: values that replace the model's.
+
+    An assumption that fails is a row of the report, not an exception. Raises UsageError if α is not a positive number
+    and ModelError for a parameter that the model does not have.
     """
     chosen = model.observer.alpha if alpha is None else alpha
     if not (isinstance(chosen, (int, float)) and math.isfinite(chosen) and chosen > 0):
@@ -94,8 +97,8 @@ def _full_rank(name: str, requirement: str, rows: Array, labels: Sequence[str], 
 def _modes_reached(name: str, requirement: str, system: Balanced, A: Array, C: Array, states: Sequence[str]) -> Row:
     """Apply the PBH test to (A, C): [A − λI; C] has full column rank at every eigenvalue λ.
 
-    The modes that the structure of (A, C) shows to be hidden are tried too: a multiple eigenvalue of A is only known
-    to a root of the rounding error, and could be missed there.
+    The test also covers the modes that the structure of (A, C) shows to be unobservable. A multiple eigenvalue of A is
+    known only to a root of the rounding error, and the test at it could miss the mode.
     """
     candidates = np.concatenate([np.linalg.eigvals(A), pencil_zeros(A, np.zeros((len(A), 0)), C)[0]])
     limit = MODE_TOLERANCE * max(1.0, float(np.linalg.norm(A, 2)))
@@ -119,7 +122,7 @@ def _modes_reached(name: str, requirement: str, system: Balanced, A: Array, C: A
 
 
 def _relative_degrees(system: Balanced, channels: Sequence[str]) -> Row:
-    """Inform of the smallest k with C A^{k−1} G_j ≠ 0 per unknown input j; None where no output ever sees it."""
+    """Yield the smallest k with C A^{k−1} G_j ≠ 0 for each unknown input j; None if no output depends on it."""
     degrees: dict[str, int | None] = dict.fromkeys(channels)
     reached = system.G
     norm_A = max(1.0, float(np.linalg.norm(system.A, 2)))
@@ -210,7 +213,7 @@ def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> Row:
 
 
 def _direction(model: Model, parameters: Mapping[str, float] | None) -> Iterator[Row]:
-    """Inform of how short n(x, u) becomes, in the bounds of its entries; a disturbance without a channel has none."""
+    """Yield how short n(x, u) becomes, relative to the bounds of its entries; nothing without a channel."""
     if not model.channel_expressions:
         return
     shortest = shortest_direction(model, parameters)

@@ -1,4 +1,4 @@
-"""How wrong the estimate can be: bounds that hold for every disturbance and nonlinearity of the declared class.
+"""Bounds of the estimate's error, for every disturbance and nonlinearity of the declared class.
 
 Theorem 3 of the paper bounds the state error of the continuous observer. From eq. (8), V = x̃ᵀ Q⁻¹ x̃ obeys
 
@@ -89,7 +89,7 @@ def certify(
     if design.M_H is None:
         from_w = _l1(system, rows, system.from_w, per_channel=True) @ disturbance_rate
     else:
-        # Without d in the model x̂ lags behind a constant d, so that only d̂ is a matter of d's rate.
+        # Without d in the model x̂ lags behind a constant d, so that only the error of d̂ depends on d's rate.
         of_d, of_x = rows.part(slice(2 * len(disturbance_rate))), rows.part(slice(2 * len(disturbance_rate), None))
         from_rate = _l1(system, of_d, system.from_w, per_channel=True) @ disturbance_rate
         from_d = _l1(system, of_x, system.from_d, per_channel=True) @ disturbance_bound

@@ -1,4 +1,4 @@
-"""A list of assumptions with a verdict each: as a table, as JSON, or as the one-line error of the first that fails."""
+"""The result of the checks, one row for each: as a table, as JSON, or as the one-line error of the first that fails."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Report:
-    """All assumptions for one model at one α (1/s), in the order in which to repair them."""
+    """All assumptions for one model at one α (1/s), in the order in which a user should mend them."""
 
     model: str
     alpha: float
@@ -69,7 +69,7 @@ class Report:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the report as JSON takes it; numbers that are not finite become null."""
+        """Return the report in JSON's types; numbers that are not finite become null."""
         rows = [
             {
                 "name": row.name,

@@ -1,4 +1,4 @@
-"""Design the observer of a model: assumptions first, then the gain, then what the gain means for its user."""
+"""The design of a model's observer: the assumptions, the gain, and the accuracy that the gain gives."""
 
 from __future__ import annotations
 
@@ -32,13 +32,18 @@ def design(
 ) -> Design:
     """Design the paper's observer; with a `step_size`, the sampled-data observer for that step as well.
 
-    π > 0 and α > 0 (1/s) are the paper's. The sampled-data observer is tuned from what users know: noise_std σ of a
-    sample, disturbance_bound D₀ and disturbance_rate, the bound of |d^{(r)}| (of |ḋ| for r = 0), each one number or one
-    per disturbance, and the disturbance_order r = 0 … 3; a π that is given sets its pace in their place. What is not
-    given is the model's. For a disturbance with a channel the design is that of the lumped inputs n_j d.
+    pi, alpha: π > 0 and α > 0 (1/s) of the paper. A given π also sets the intensity of the sampled-data observer.
+    step_size: H in s; None for the paper's observer alone.
+    disturbance_order: r = 0 … 3.
+    noise_std: σ of the noise in a sample.
+    disturbance_bound: D₀, one number or one for each disturbance.
+    disturbance_rate: the bound of |d^{(r)}| (of |ḋ| for r = 0), likewise.
 
-    Raises UsageError for a π that is none, AssumptionError where an assumption of the paper fails, and DesignError for
-    other values outside their range or where a gain cannot be trusted.
+    The model has the values that are not given. For a disturbance with a channel the design is that of the lumped
+    inputs n_j d.
+
+    Raises UsageError for an invalid π, AssumptionError if an assumption of the paper fails, and DesignError for
+    other values outside their range, or if a gain is not accurate enough.
     """
     expert = pi
     pi = model.observer.pi_end if pi is None else pi
@@ -80,7 +85,7 @@ def _for_each(
     if value is None:
         return default
     numbers = tuple(value) if isinstance(value, Sequence) else (value,) * q
-    if len(numbers) == 1:  # the command line gives a list also where one number is meant for all
+    if len(numbers) == 1:  # the command line gives a list even if one number is meant for all
         numbers = numbers * q
     if len(numbers) != q:
         raise UsageError.report(name, expected=f"one number, or {q}: one for each disturbance", received=repr(value))

@@ -21,8 +21,8 @@ _CLIMBS = 8
 class Shortest:
     """The least ‖[n₁/n̄₁ … n_k/n̄_k]‖ found, and the states and inputs it was found at.
 
-    `length` is 0 where n cannot be evaluated. `largest_entry`: the largest |n_j|/n̄_j found; above 1 a bound is wrong,
-    or the search went beyond where the plant goes.
+    `length` is 0 if n cannot be evaluated. `largest_entry`: the largest |n_j|/n̄_j found; above 1 a bound is wrong,
+    or the search has left the plant's range.
     """
 
     length: float

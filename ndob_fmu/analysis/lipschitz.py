@@ -24,7 +24,7 @@ _SMALLEST_MAGNITUDE = 1e-8
 class Slope:
     """The largest spectral norm of ∂f/∂x found, and the states and inputs it was found at.
 
-    `value` is infinite where the slope is, or where f cannot be evaluated. `at` names only what the slope depends on.
+    `value` is infinite if the slope is, or if f cannot be evaluated. `at` has the variables that the slope depends on.
     """
 
     value: float
@@ -32,7 +32,7 @@ class Slope:
 
 
 def box(model: Model) -> dict[str, float]:
-    """Return the half-width of the search per state and input: 10, or ten times the start values where that is more."""
+    """Return the half-width of the search per state and input: 10, or ten times the start value if that is more."""
     states = {
         name: max(SMALLEST_BOX, _START_VALUES_REACH * abs(x0), _START_VALUES_REACH * abs(xhat0))
         for name, x0, xhat0 in zip(model.states, model.x0 or (), model.xhat0 or (), strict=True)

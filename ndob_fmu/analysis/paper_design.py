@@ -1,4 +1,4 @@
-"""The paper's observer at one π, as its user wants to know it: gains, poles, bandwidth, noise gain."""
+"""The design of the paper's observer at one π, for people: gains, poles, bandwidth, noise gain."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Design:
     noise_gain: Array
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it in JSON's types; a pole is a pair [real, imaginary]."""
+        """Return the design in JSON's types; a pole is a pair [real, imaginary]."""
         arrays = {name: getattr(self, name).tolist() for name in ("L", "W", "M", "Q", "dc_gain", "noise_gain")}
         return {
             "model": self.model,

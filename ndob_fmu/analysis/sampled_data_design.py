@@ -1,4 +1,4 @@
-"""The sampled-data observer at one step, as its user wants to know it: gains, predicted errors, bounds, warnings."""
+"""The design of the sampled-data observer at one step, for people: gains, predicted errors, bounds, warnings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error, steady
 from ndob_fmu.runtime.step.channel import lumped
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 
-# Below this ratio of noise to bias in the predicted error it is the step that limits, not the noise.
+# Below this ratio of noise to bias in the predicted error, the step limits the accuracy and not the noise.
 _STEP_LIMITS = 0.1
 
 
@@ -49,7 +49,7 @@ class SampledDataDesign(Design):
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it in JSON's types; a pole is a pair [real, imaginary]."""
+        """Return the design in JSON's types; a pole is a pair [real, imaginary]."""
         return {
             **super().to_dict(),
             "step_size": self.step_size,
@@ -111,7 +111,7 @@ def sampled_data_design(
     by_pi: bool,
     parameters: Mapping[str, float] | None,
 ) -> SampledDataDesign:
-    """Design the sampled-data observer of the model for a step H > 0 s; `by_pi` leaves the pace to π, not the rate.
+    """Design the sampled-data observer of the model for a step H > 0 s; `by_pi`: π sets the intensity, not the rate.
 
     Raises DesignError for values outside their range or where no stationary gain can be found.
     """

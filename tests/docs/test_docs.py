@@ -14,6 +14,8 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from ndob_fmu.cli import command_parser
+from ndob_fmu.runtime.numerics.integrate import RELATIVE_TOLERANCE
+from ndob_fmu.runtime.numerics.riccati import RESIDUAL_TOLERANCE
 from tests.helpers.clean_process import ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
@@ -143,6 +145,18 @@ def test_the_functions_in_the_table_of_equations_exist():
     assert len(named) >= 5
     for module, function in named:
         assert callable(getattr(import_module(f"ndob_fmu.{module.replace('/', '.')}"), function))
+
+
+def test_the_tolerances_in_the_pages_are_those_of_the_code():
+    theory = " ".join((DOCS / "theory.md").read_text("utf-8").split())
+    plant = " ".join((ROOT / "fmus" / "FlexibleJointPlant" / "README.md").read_text("utf-8").split())
+    assert f"relative residual in those states exceeds {_short(RESIDUAL_TOLERANCE)}" in theory
+    assert f"Cash–Karp 5(4) with tolerance {_short(RELATIVE_TOLERANCE)}" in theory
+    assert f"a relative tolerance of {_short(RELATIVE_TOLERANCE)}" in plant
+
+
+def _short(number):
+    return f"{number:.0e}".replace("e-0", "e-")
 
 
 def test_the_measures_and_entries_of_studies_are_all_documented():
