@@ -23,9 +23,9 @@ from ndob_fmu.cosim import System as Coupled
 from ndob_fmu.cosim.component import recordable
 from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.design.augmented import augment
-from ndob_fmu.runtime.design.gains import LinearPart
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.design.tuning import at_bandwidth, tuned_intensities
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 

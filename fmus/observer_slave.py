@@ -9,10 +9,11 @@ from typing import Any
 from fmus.slave_base import Slave
 from ndob_fmu.interface.model_variables import METHODS, for_each_disturbance, observer_variables
 from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_rate
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.numerics.hold import History
-from ndob_fmu.runtime.step.channel import ChannelState, lumped, lumped_bound, lumped_rate, read_out
+from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
 from ndob_fmu.runtime.step.observer import Estimate
 from ndob_fmu.runtime.step.paper_observer import ObserverState, PaperObserver, paper_observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer

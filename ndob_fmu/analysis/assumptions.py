@@ -18,9 +18,9 @@ from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.zeros import RANK_TOLERANCE, Balanced, ComplexArray, balance, pencil_zeros
-from ndob_fmu.runtime.step.channel import VANISHING
+from ndob_fmu.runtime.step.channel_observer import VANISHING
 from ndob_fmu.support.progress import begin
 
 MODE_TOLERANCE = 1e-8

@@ -13,8 +13,8 @@ from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.gains import paper_gains
+from ndob_fmu.runtime.design.lumping import lumped_bound, lumped_rate
 from ndob_fmu.runtime.design.tuning import sine_rate
-from ndob_fmu.runtime.step.channel import lumped_bound, lumped_rate
 from ndob_fmu.support.progress import begin
 
 

@@ -14,8 +14,8 @@ from ndob_fmu.analysis.paper_design import Design, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error, steady_std
-from ndob_fmu.runtime.step.channel import lumped
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 
 # Below this ratio of noise to bias in the predicted error, the step limits the accuracy and not the noise.

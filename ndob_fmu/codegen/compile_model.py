@@ -11,7 +11,7 @@ import numpy as np
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model.model import Model
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.support.progress import begin
 

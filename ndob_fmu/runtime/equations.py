@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 
 Vector = Sequence[float]
 

@@ -14,8 +14,9 @@ from ndob_fmu import check
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
 from ndob_fmu.model.model import Model
-from ndob_fmu.runtime.design.gains import LinearPart
-from ndob_fmu.runtime.numerics.zeros import balance, transmission_zeros
+from ndob_fmu.runtime.design.minimum_phase import transmission_zeros
+from ndob_fmu.runtime.linear_part import LinearPart
+from ndob_fmu.runtime.numerics.zeros import balance
 from tests.helpers.problems import (
     BAD,
     MODELS,

@@ -17,7 +17,7 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
-from ndob_fmu.runtime.step.channel import lumped
+from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from tests.helpers.problems import MODELS, RANDOM, to_model
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.model.loading import BUILT_IN, load_model
 from ndob_fmu.model.model import Model
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import scipy.linalg
 
 from ndob_fmu.errors import DesignError
 from ndob_fmu.runtime.design.augmented import augment, discretise
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.kalman import converged_factor, gain_change, predict, stationary, update
 
 N, P, Q = 5, 2, 3

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ndob_fmu.runtime.design.augmented import augment
-from ndob_fmu.runtime.design.gains import LinearPart
 from ndob_fmu.runtime.design.sampled_design import sampled_design
 from ndob_fmu.runtime.design.tuning import Knowledge, at_bandwidth, predicted_error, tuned_intensities
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.kalman import gain_change
 from tests.helpers.problems import RANDOM, minimum_phase_systems
 

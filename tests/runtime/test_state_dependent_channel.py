@@ -18,9 +18,10 @@ from ndob_fmu.cosim import FmuComponent, System, simulate
 from ndob_fmu.errors import AssumptionError, DesignError, ModelError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
+from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_rate
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.numerics.zeros import balance, pencil_zeros
-from ndob_fmu.runtime.step.channel import VANISHING, lumped, lumped_bound, lumped_rate, read_out
+from ndob_fmu.runtime.step.channel_observer import VANISHING, read_out
 from ndob_fmu.runtime.step.observer import Estimate
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer

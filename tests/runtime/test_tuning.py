@@ -9,7 +9,7 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.runtime.design.augmented import augment, discretise
-from ndob_fmu.runtime.design.gains import LinearPart, paper_gains
+from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.design.sampled_design import sampled_design
 from ndob_fmu.runtime.design.tuning import (
     Knowledge,
@@ -19,6 +19,7 @@ from ndob_fmu.runtime.design.tuning import (
     predicted_error,
     tuned_intensities,
 )
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.kalman import converged_factor
 from tests.helpers.problems import MODELS, RANDOM
 

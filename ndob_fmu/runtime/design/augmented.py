@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.exponential import exponential
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
-from ndob_fmu.runtime.design.gains import LinearPart
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.memo import Shared, by_value
 from ndob_fmu.runtime.numerics.riccati import lyapunov, solve_riccati_over
 

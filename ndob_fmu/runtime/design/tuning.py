@@ -19,8 +19,8 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented
-from ndob_fmu.runtime.design.gains import LinearPart
 from ndob_fmu.runtime.design.sampled_design import Intensities, SampledDesign, sampled_design
+from ndob_fmu.runtime.linear_part import LinearPart
 
 # f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
 # standard deviations of the noise makes of it.

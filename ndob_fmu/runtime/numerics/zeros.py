@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.base_errors import AssumptionError
-from ndob_fmu.runtime.design.gains import LinearPart
 
 ComplexArray = NDArray[np.complex128]
 
@@ -74,36 +72,6 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
         states=states,
         rate=rate,
     )
-
-
-def transmission_zeros(linear: LinearPart) -> ComplexArray:
-    """Return the finite transmission zeros of (A, G, C) in 1/s, the one farthest to the right first.
-
-    Raises AssumptionError where the system is degenerate: then every z is a zero.
-    """
-    system = balance(linear.A, linear.G, linear.C)
-    zeros, rank = pencil_zeros(system.A, system.G, system.C)
-    q = linear.G.shape[1]
-    if rank < q:
-        raise AssumptionError.report(
-            "transmission zeros",
-            expected=f"{q} unknown inputs that the {len(linear.C)} outputs tell apart",
-            received=f"a transfer matrix of normal rank {rank}",
-            likely="p < q, an unknown input that reaches no output, or two that reach the outputs in the same way",
-        )
-    return system.rate * zeros
-
-
-def require_zeros_left_of(linear: LinearPart, margin: float) -> None:
-    """Raise AssumptionError unless every zero has Re z < −margin (1/s); the parameters of an FMU may move them."""
-    zeros = transmission_zeros(linear)
-    if len(zeros) and zeros[0].real >= -margin:
-        raise AssumptionError.report(
-            "transmission zeros",
-            expected=f"all of them left of {-margin:g} 1/s",
-            received=f"one at {zeros[0]:.6g} 1/s",
-            likely="alpha too large, or parameters that make the plant non-minimum phase",
-        )
 
 
 def pencil_zeros(A: Array, G: Array, C: Array) -> tuple[ComplexArray, int]:

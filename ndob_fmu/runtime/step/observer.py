@@ -1,8 +1,9 @@
-"""What the observers of both methods have in common: the estimate that a step publishes, and how samples are judged."""
+"""What the observers of both methods have in common: their methods, and the estimate that a step publishes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
@@ -12,12 +13,14 @@ from ndob_fmu.runtime.equations import Vector
 class Estimate:
     """What a step publishes.
 
-    x_hat (n,) and d_hat (q2,): predictions for the end of the step, x̂(t+H) and d̂(t+H);
-    x_at_sample (n,), d_at_sample (q2,), residual (p,): x̂(t), d̂(t), y − C x̂ for the sample that the step began with;
-    d_std (q2,): one-sigma error bar of d_hat;
-    residual_std (p,): standard deviation that the residual is expected to have, 0 where the method does not say;
-    valid: False where that sample could not be used, so that the estimate coasts; the residual of a sample that is not
-    finite is 0.
+    x_hat (n,): x̂(t+H), the prediction for the end of the step.
+    d_hat (q2,): d̂(t+H), the same for the disturbances.
+    x_at_sample (n,): x̂(t), for the sample that the step began with.
+    d_at_sample (q2,): d̂(t).
+    d_std (q2,): one-sigma error bar of d_hat.
+    residual (p,): y − C x̂(t) before the sample was used; 0 for a sample that is not finite.
+    residual_std (p,): standard deviation expected of the residual; 0 from method 1, which predicts none.
+    valid: False where the sample could not be used, so that the estimate coasts.
     """
 
     x_hat: Vector
@@ -28,6 +31,33 @@ class Estimate:
     residual: Vector
     residual_std: Vector
     valid: bool
+
+
+class State(Protocol):
+    """What is read of the state of an observer from outside."""
+
+    @property
+    def u(self) -> Vector | Array:
+        """The last finite input (m,)."""
+
+
+S = TypeVar("S", bound=State)
+
+
+class Observer(Protocol[S]):
+    """An observer, which remembers nothing itself: a step leads from one state to the next."""
+
+    def init(self, x_hat: Vector) -> S:
+        """Return the state that starts from x̂₀ (n,)."""
+
+    def possible(self, state: S, elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+
+    def estimate(self, state: S, y: Vector) -> Estimate:
+        """Return what is known at a sample y (p,) before any step from it."""
+
+    def step(self, state: S, u: Vector, y: Vector, H: float) -> tuple[S, Estimate]:
+        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
 
 
 def numbers(vector: Array) -> tuple[float, ...]:

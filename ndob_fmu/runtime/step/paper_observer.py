@@ -15,13 +15,14 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
-from ndob_fmu.runtime.design.gains import LinearPart, orthogonal_factor
+from ndob_fmu.runtime.design.gains import orthogonal_factor
+from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.schedule import GainTable, PiSchedule, gain_table
 from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.memo import Latest
 from ndob_fmu.runtime.numerics.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.numerics.hold import History, empty_history
-from ndob_fmu.runtime.numerics.zeros import require_zeros_left_of
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.times import same_time
 

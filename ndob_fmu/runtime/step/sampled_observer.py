@@ -19,13 +19,13 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
 from ndob_fmu.runtime.design.augmented import Augmented, augment, discretise
+from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.sampled_design import Intensities, SampledDesign, sampled_design, scaled_noise
 from ndob_fmu.runtime.design.tuning import Knowledge, from_pi, steady_residual_std, steady_std, tuned_intensities
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.memo import Latest, Shared, by_value
 from ndob_fmu.runtime.numerics.integrate import MOST_SUBSTEPS, integrate
 from ndob_fmu.runtime.numerics.kalman import Update, gain_change, predict, update
-from ndob_fmu.runtime.numerics.zeros import require_zeros_left_of
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.sampled_state import Confidence, Numbers, SampledState, StepAtRest
 from ndob_fmu.runtime.step.sampling import Sampling, is_similar, sampling

@@ -7,8 +7,8 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import AssumptionError, DesignError
+from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.schedule import PiSchedule
-from ndob_fmu.runtime.numerics.zeros import require_zeros_left_of
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from tests.helpers.problems import BAD, MODELS, RANDOM, to_model

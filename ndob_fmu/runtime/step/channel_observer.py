@@ -1,0 +1,119 @@
+"""One disturbance d read out of the lumped inputs w = n(x, u) d, which an observer estimates like k disturbances.
+
+    d̂ = νᵀ ω̂ / ‖ν‖²,   ν_j = n_j(x̂, u) / σ_j,   ω̂_j = ŵ_j / σ_j,   std(d̂) = 1 / ‖ν‖
+
+This is the least-squares solution of n d = ŵ, with each ŵ_j weighed by its error bar σ_j. Where n, measured in the
+bounds n̄_j of its entries, is shorter than 0.1, the disturbance hardly moves the plant and cannot be told. There d̂ is
+held at the last value read, its error bar is D₀, and it is not valid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Generic
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.equations import Channel, Equations, Vector
+from ndob_fmu.runtime.step.observer import Estimate, Observer, S, numbers
+
+VANISHING = 0.1
+_SMALLEST_SHARE = 1e-9  # of the largest error bar: a smaller error bar would give its ŵ_j all the weight
+
+
+def read_out(
+    equations: Equations, parameters: Vector, observer: Observer[S], *, disturbance_bound: Vector
+) -> Observer[S] | ChannelObserver[S]:
+    """Return the observer of the disturbance, for an `observer` of `design.lumping.lumped(equations)`.
+
+    It is `observer` itself where there is no channel. disturbance_bound: D₀ (1,), the error bar of a disturbance that
+    cannot be told.
+    """
+    if equations.channel is None:
+        return observer
+    return ChannelObserver(
+        channel=equations.channel,
+        parameters=parameters,
+        observer=observer,
+        disturbance_bound=np.array(disturbance_bound, dtype=float),
+    )
+
+
+@dataclass(frozen=True)
+class ChannelState(Generic[S]):
+    """What the observer of a disturbance in a channel remembers.
+
+    lumped: the state of the observer of w.
+    d_hat (1,): the last disturbance that could be read.
+    """
+
+    lumped: S
+    d_hat: Vector
+
+    @property
+    def u(self) -> Vector | Array:
+        """The last finite input (m,)."""
+        return self.lumped.u
+
+
+@dataclass(frozen=True)
+class ChannelObserver(Generic[S]):
+    """init(x̂₀) → state; step(state, u, y, H) → (state, estimate): that of `observer`, with d in place of w."""
+
+    channel: Channel
+    parameters: Vector
+    observer: Observer[S]
+    disturbance_bound: Array = field(repr=False)
+
+    def init(self, x_hat: Vector) -> ChannelState[S]:
+        """Return the state that starts from x̂₀ (n,)."""
+        return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,))
+
+    def possible(self, state: ChannelState[S], elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+        return bool(np.all(np.isfinite(state.d_hat))) and self.observer.possible(state.lumped, elapsed)
+
+    def estimate(self, state: ChannelState[S], y: Vector) -> Estimate:
+        """Return what is known at a sample y (p,) before any step from it."""
+        return self._read(self.observer.estimate(state.lumped, y), state.lumped.u, state.d_hat)
+
+    def step(self, state: ChannelState[S], u: Vector, y: Vector, H: float) -> tuple[ChannelState[S], Estimate]:
+        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
+        after, estimate = self.observer.step(state.lumped, u, y, H)
+        estimate = self._read(estimate, after.u, state.d_hat)
+        return ChannelState(lumped=after, d_hat=estimate.d_hat), estimate
+
+    def _read(self, lumped: Estimate, u: Vector | Array, held: Vector) -> Estimate:
+        """Return the estimate of d in place of that of w; `held` (1,) where d cannot be read."""
+        at_sample = self._direction(lumped.x_at_sample, u)
+        ahead = self._direction(lumped.x_hat, u)
+        # The errors of the ŵ_j are treated as independent, and x̂ as exact enough not to turn n.
+        w_std = np.array(lumped.d_std)
+        sigma = np.maximum(w_std, _SMALLEST_SHARE * (np.max(w_std) or 1.0))
+        d_at_sample, d_hat, d_std = held, held, numbers(self.disturbance_bound)
+        if at_sample is not None:
+            d_at_sample = d_hat = _least_squares(at_sample / sigma, lumped.d_at_sample / sigma)
+        if ahead is not None:
+            d_hat = _least_squares(ahead / sigma, lumped.d_hat / sigma)
+            d_std = (float(1.0 / np.linalg.norm(ahead / sigma)),)
+        return replace(
+            lumped,
+            d_hat=d_hat,
+            d_at_sample=d_at_sample,
+            d_std=d_std,
+            valid=lumped.valid and at_sample is not None and ahead is not None,
+        )
+
+    def _direction(self, x_hat: Vector, u: Vector | Array) -> Array | None:
+        """Return n (k,); None where it vanishes or cannot be evaluated."""
+        try:
+            n = np.array(self.channel.direction(x_hat, [float(value) for value in u], self.parameters), dtype=float)
+        except (ArithmeticError, ValueError):
+            return None
+        return n if VANISHING <= np.linalg.norm(n / self.channel.bound) < np.inf else None
+
+
+def _least_squares(nu: Array, omega: Array) -> tuple[float]:
+    """Return the d (1,) that solves ν d = ω best."""
+    return (float(nu @ omega / (nu @ nu)),)
