@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from benchmarks.accuracy_cells import D0, MODEL, SIGNALS, Plan, Record, in_parallel, observed, record, score, setting
 from ndob_fmu import build, load_model
-from ndob_fmu.runtime.design.sampled_design import SampledDesign, sampled_design
+from ndob_fmu.runtime.design.stationary_design import StationaryDesign, stationary_design
 from ndob_fmu.runtime.design.tuning import at_bandwidth
 
 CONSTANT, RAMP, _, SINE_1, SINE_5, _ = SIGNALS
@@ -107,14 +107,14 @@ def least_error(H: float, sigma: float, order: int) -> float:
 
     def error(bandwidth: float) -> float:
         intensities = at_bandwidth(observer.system, H, bandwidth, observer.known)
-        design = sampled_design(observer.system, H, observer.known.R_factor, intensities, 1.0)
+        design = stationary_design(observer.system, H, observer.known.R_factor, intensities, 1.0)
         return bias_amplitude(design, SINE_1.frequency) + float(design.noise_std()[0])
 
     # The least over a grid of which neighbours differ by 6 % in bandwidth is within 0.5 % of the least of all.
     return min(error(bandwidth) for bandwidth in np.geomspace(5.0, 200.0, 60))
 
 
-def bias_amplitude(design: SampledDesign, frequency: float) -> float:
+def bias_amplitude(design: StationaryDesign, frequency: float) -> float:
     """Return the amplitude of d̂ − d at the samples for d a sine of that frequency (Hz) and amplitude 1, for q2 = 1."""
     system, H = design.system, design.discrete.H
     N, omega = len(system.A), 2.0 * np.pi * frequency

@@ -51,8 +51,8 @@ def by_definition(model):
         pi=tuning.pi_end,
     )
     start = observer.init([0.0] * len(eq.states))
-    confidence = replace(start.confidence, at_rest=True, tuned_at=STEP, age=10 * len(start.xi_hat))
-    start = replace(start, confidence=confidence)
+    covariance = replace(start.covariance, converged=True, tuned_at=STEP, age=10 * len(start.xi_hat))
+    start = replace(start, covariance=covariance)
     u, y = [0.1] * len(eq.inputs), [0.0] * len(eq.outputs)
 
     def steps():

@@ -17,13 +17,13 @@ from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
 from ndob_fmu.runtime.step.observer import Estimate
 from ndob_fmu.runtime.step.paper_observer import ObserverState, PaperObserver, paper_observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
-from ndob_fmu.runtime.step.sampled_state import Confidence, SampledState
+from ndob_fmu.runtime.step.sampled_state import CovarianceState, SampledState
 
 
 class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
-    state_types = (SampledState, Confidence, ObserverState, History, ChannelState)
+    state_types = (SampledState, CovarianceState, ObserverState, History, ChannelState)
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
@@ -39,7 +39,7 @@ class ObserverSlave(Slave):
             make(),
             disturbance_bound=self._for_disturbances("disturbance_bound"),
         )
-        self._step_at_rest = self.observer.step_at_rest if isinstance(self.observer, SampledObserver) else None
+        self._step_converged = self.observer.step_converged if isinstance(self.observer, SampledObserver) else None
         self.state = self.observer.init(self._for_states("hat_start"))
 
     def possible(self, state: Any, begin: float, now: float) -> bool:
@@ -52,9 +52,9 @@ class ObserverSlave(Slave):
 
     def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
         """Do so once the gain is frozen, with samples as they usually are."""
-        if self._step_at_rest is None:
+        if self._step_converged is None:
             return None
-        done = self._step_at_rest(self.state, self._values[self._inputs], step_size)
+        done = self._step_converged(self.state, self._values[self._inputs], step_size)
         if done is None:
             return None
         self.state, outputs, _ = done

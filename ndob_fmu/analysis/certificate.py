@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.sampled_design import SampledDesign
+from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.numerics.exponential import exponential
 
 _INSTANTS = 5
@@ -70,7 +70,7 @@ def theorem_3_bound(Q: Array, *, pi: float, alpha: float, lipschitz: float, dist
 
 
 def certify(
-    design: SampledDesign,
+    design: StationaryDesign,
     *,
     disturbance_rate: Array,
     disturbance_bound: Array,
@@ -136,7 +136,7 @@ class _Rows:
         return _Rows(self.on_state[which], self.on_sample[which], self.instant[which], self.selector[which])
 
 
-def _error_system(design: SampledDesign) -> _ErrorSystem:
+def _error_system(design: StationaryDesign) -> _ErrorSystem:
     linear, H = design.system.linear, design.discrete.H
     n, q = linear.G_d.shape
     if design.system.order:
@@ -153,7 +153,7 @@ def _error_system(design: SampledDesign) -> _ErrorSystem:
     return _ErrorSystem(n=n, H=H, A=A, J=J, K=K, from_w=from_w, from_d=from_d, from_f=from_f)
 
 
-def _outputs(system: _ErrorSystem, design: SampledDesign) -> _Rows:
+def _outputs(system: _ErrorSystem, design: StationaryDesign) -> _Rows:
     """Return the rows of d̃ at the sample, d̃ ahead, and x̃ at instants spread over the step, in this order."""
     n, H, N = system.n, system.H, len(system.A)
     q, p = design.system.linear.G_d.shape[1], system.K.shape[1]

@@ -1,4 +1,4 @@
-"""Remember results of costly functions: a memo of values, never of the past of a simulation."""
+"""Caches of costly results: they depend on their key alone, never on the past of a simulation."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import numpy as np
 T = TypeVar("T")
 
 
-class Latest(Generic[T]):
-    """The last result of a function, `value`, and the arguments that it holds for; None before the first one."""
+class LatestResult(Generic[T]):
+    """A cache of one entry: the last result of a function, `value`, and its key; None before the first one."""
 
     def __init__(self) -> None:
         self._key: tuple[float, ...] | None = None
         self.value: T | None = None
 
     def __call__(self, key: tuple[float, ...], compute: Callable[[], T]) -> T:
-        """Return the value for `key`, computed only if the last one was for another."""
+        """Return the value for `key`, computed only if the last key was another."""
         if key != self._key:
             self.value = compute()
             self._key = key
         return cast(T, self.value)
 
 
-class Shared(Generic[T]):
-    """The results of a function for the last `size` keys that were asked for, by any instance in the process.
+class SharedResults(Generic[T]):
+    """A cache of the last `size` results of a function, shared by all instances in the process.
 
     A key holds the values of all that the result depends on (`by_value`). The arrays of a result are read-only.
     """
@@ -37,12 +37,12 @@ class Shared(Generic[T]):
         self._answer = lru_cache(maxsize=size)(_answer)
 
     def __call__(self, key: tuple[Any, ...], compute: Callable[[], T]) -> T:
-        """Return the value for `key`, computed only where it is not at hand."""
-        return cast(T, self._answer(_Question(key, compute)))
+        """Return the value for `key`, computed only where it is not in the cache."""
+        return cast(T, self._answer(_Lookup(key, compute)))
 
 
-class _Question:
-    """A key, and how to find its value as long as that is not known."""
+class _Lookup:
+    """A key, and how to compute its value until that is known."""
 
     __slots__ = ("compute", "key")
 
@@ -53,12 +53,12 @@ class _Question:
         return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Question) and self.key == other.key
+        return isinstance(other, _Lookup) and self.key == other.key
 
 
-def _answer(question: _Question) -> Any:
-    value = question.compute()
-    del question.compute  # the memo keeps the question, which need not keep an observer
+def _answer(lookup: _Lookup) -> Any:
+    value = lookup.compute()
+    del lookup.compute  # the cache keeps the lookup, which must not keep an observer alive
     _protect(value)
     return value
 
@@ -75,7 +75,7 @@ def _protect(value: Any) -> None:
 
 
 def by_value(thing: Any) -> Any:
-    """Return what is equal, and has the same hash, for things of the same values to the last bit."""
+    """Return a key that is equal for things whose values are equal to the last bit."""
     if isinstance(thing, np.ndarray):
         return thing.shape, thing.dtype.str, thing.tobytes()
     if isinstance(thing, (tuple, list)):

@@ -18,6 +18,7 @@ from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.lumping import lumped
+from ndob_fmu.runtime.step.gate import gate
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from tests.helpers.problems import MODELS, RANDOM, to_model
 
@@ -55,7 +56,7 @@ def side(name, x):
 
 @functools.cache
 def observer_of(name, order, H):
-    """Return the observer, and its state at rest before a sample."""
+    """Return the observer, and its converged state before a sample."""
     model = ALL[name]
     eq = lumped(compile_model(model))
     observer = sampled_observer(
@@ -71,29 +72,29 @@ def observer_of(name, order, H):
         pi=1e8,
     )
     start = observer.init(eq.xhat0)
-    confidence = replace(start.confidence, at_rest=True, tuned_at=H, age=3 * len(observer.system.A))
-    start = replace(start, confidence=confidence)
+    covariance = replace(start.covariance, converged=True, tuned_at=H, age=3 * len(observer.system.A))
+    start = replace(start, covariance=covariance)
     as_expected = observer.system.C @ start.xi_hat[: len(observer.system.A)]
     return observer, observer.step_by_definition(start, (0.0,) * len(eq.inputs), as_expected, H)[0]
 
 
 def at_random(observer, state, seed):
-    """Return a random state at rest, an input, and a sample of which nine tenths of what is usual may be unexpected."""
+    """Return a random converged state, an input, and a sample with an innovation of up to nine tenths of the gate."""
     random = np.random.default_rng(seed)
     bound = observer.known.disturbance_bound
-    x = np.array(observer.equations.xhat0) + random.normal(size=len(observer.x_std)) * observer.x_std
+    x = np.array(observer.equations.xhat0) + random.normal(size=len(observer.designs.x_std)) * observer.designs.x_std
     derivatives = [bound * random.normal(size=len(bound)) * 6.0**i for i in range(observer.system.order)]
     xi = np.concatenate([x, *derivatives])
     padding = (0.0,) * (len(state.xi_hat) - len(xi))
-    y = observer.system.C @ xi + 0.9 * usual(observer, state) * random.uniform(-1.0, 1.0, len(observer.system.C))
+    y = observer.system.C @ xi + 0.9 * largest(observer, state) * random.uniform(-1.0, 1.0, len(observer.system.C))
     u = random.normal(size=len(observer.equations.inputs))
     return replace(state, xi_hat=(*xi.tolist(), *padding)), u.tolist(), y.tolist()
 
 
-def usual(observer, state):
-    H = state.confidence.tuned_at
-    design = observer.design(H, H)
-    return observer._usual_deviation(design.rest.innovation_factor, design)
+def largest(observer, state):
+    H = state.covariance.tuned_at
+    design = observer.designs.at(H)
+    return gate(design.stationary.update.innovation_factor, design)
 
 
 def assert_close(mine, theirs, scale):
@@ -109,17 +110,17 @@ def test_the_observers_step_is_the_definitions_over_random_states_and_samples(na
     except IntegrationError:
         assume(False)
     assume(side(name, estimate_by_definition.x_at_sample) == side(name, estimate_by_definition.x_hat))
-    assert observer.step_at_rest(state, [*u, *y], H) is not None
+    assert observer.step_converged(state, [*u, *y], H) is not None
     after, estimate = observer.step(state, u, y, H)
     # A residual is the difference of numbers of the size of the samples, and K multiplies its rounding.
-    design, n = observer.design(H, H), len(estimate.x_hat)
+    design, n = observer.design(H), len(estimate.x_hat)
     N = len(observer.system.A)
     of_samples = np.abs(y) + np.abs(observer.system.C) @ np.abs(state.xi_hat[:N])
-    of_states = np.abs(design.rest.K) @ of_samples + np.max(np.abs(by_definition.xi_hat))
+    of_states = np.abs(design.K) @ of_samples + np.max(np.abs(by_definition.xi_hat))
     of_d = of_states[n : n + len(state.d_hat)] if design.M_H is None else np.abs(design.M_H) @ of_samples
     assert_close(after.xi_hat[:N], by_definition.xi_hat[:N], of_states)
     assert after.xi_hat[N:] == by_definition.xi_hat[N:]
-    assert_close(after.deviation, by_definition.deviation, of_samples)
+    assert_close(after.innovation, by_definition.innovation, of_samples)
     assert_close(after.d_hat, by_definition.d_hat, of_d)
     assert_close(estimate.residual, estimate_by_definition.residual, of_samples)
     assert_close(estimate.x_hat, estimate_by_definition.x_hat, of_states[:n])
@@ -127,8 +128,8 @@ def test_the_observers_step_is_the_definitions_over_random_states_and_samples(na
     assert_close(estimate.d_hat, estimate_by_definition.d_hat, of_d)
     assert_close(estimate.d_at_sample, estimate_by_definition.d_at_sample, of_d)
     assert after.u == by_definition.u
-    for field in ("factor", "d_std", "at_rest", "tuned_at", "refused", "age"):
-        np.testing.assert_array_equal(getattr(after.confidence, field), getattr(by_definition.confidence, field))
+    for field in ("factor", "d_std", "converged", "tuned_at", "rejected", "age"):
+        np.testing.assert_array_equal(getattr(after.covariance, field), getattr(by_definition.covariance, field))
     assert estimate.d_std == estimate_by_definition.d_std
     assert estimate.residual_std == estimate_by_definition.residual_std
     assert estimate.valid
@@ -161,11 +162,11 @@ def test_the_plants_step_is_the_definitions_over_random_states_and_generators(na
 
 @pytest.mark.parametrize("name", ["flexible_joint", "kinks"])
 @pytest.mark.parametrize("order", range(4))
-def test_a_sample_or_an_input_that_is_not_usual_is_left_to_the_definition(name, order):
+def test_a_sample_outside_the_gate_or_an_input_that_is_not_finite_is_left_to_the_definition(name, order):
     observer, state = observer_of(name, order, 5e-3)
     state, u, y = at_random(observer, state, 7)
     expected = observer.system.C @ state.xi_hat[: len(observer.system.A)]
-    beyond = expected + 1.001 * usual(observer, state)
+    beyond = expected + 1.001 * largest(observer, state)
     for inputs, sample in [
         (u, [np.nan, *y[1:]]),
         (u, [*y[:-1], -np.inf]),
@@ -177,8 +178,8 @@ def test_a_sample_or_an_input_that_is_not_usual_is_left_to_the_definition(name, 
         after, estimate = observer.step(state, inputs, sample, 5e-3)
         by_definition, estimate_by_definition = observer.step_by_definition(state, inputs, sample, 5e-3)
         assert after.xi_hat == by_definition.xi_hat
-        assert (after.u, after.deviation) == (by_definition.u, by_definition.deviation)
-        assert after.confidence.refused == by_definition.confidence.refused
+        assert (after.u, after.innovation) == (by_definition.u, by_definition.innovation)
+        assert after.covariance.rejected == by_definition.covariance.rejected
         assert estimate == estimate_by_definition
 
 

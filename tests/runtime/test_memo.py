@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ndob_fmu.runtime.memo import Shared, by_value
+from ndob_fmu.runtime.memo import SharedResults, by_value
 from tests.helpers.fmi_instance import OK, unpacked
 
 H = 1e-3
@@ -36,7 +36,7 @@ def test_things_of_the_same_values_are_one_key_and_those_that_differ_in_a_bit_ar
 
 def test_a_result_is_computed_once_for_a_key_and_again_once_others_have_taken_its_place():
     made = []
-    shared = Shared(2)
+    shared = SharedResults(2)
 
     def ask(key):
         return shared((key,), lambda: made.append(key) or len(made))
@@ -46,7 +46,7 @@ def test_a_result_is_computed_once_for_a_key_and_again_once_others_have_taken_it
 
 
 def test_what_raises_is_asked_again():
-    shared = Shared(2)
+    shared = SharedResults(2)
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             shared((1,), lambda: 1 / 0)
@@ -57,7 +57,7 @@ def test_shared_arrays_cannot_be_written_and_nothing_else_is_kept():
     class Observer:
         pass
 
-    shared, observer = Shared(2), Observer()
+    shared, observer = SharedResults(2), Observer()
     kept = weakref.ref(observer)
 
     def compute(observer=observer):

@@ -1,4 +1,4 @@
-"""The everyday observer: how accurate, how soon, how honest about its error, and what it does with bad samples."""
+"""Method 2: how accurate, how soon, how honest about its error, and what it does with bad samples."""
 
 from __future__ import annotations
 
@@ -217,11 +217,11 @@ def test_the_error_bar_is_honest_from_the_first_sample_on():
 # -- the step
 
 
-def test_the_gain_is_frozen_once_it_has_come_to_rest():
+def test_the_gain_is_frozen_once_it_has_converged():
     observer = observer_of(noise_std=1e-5)
     run = Run(observer, constant(), 5e-3, 2.0)
-    assert run.state.confidence.at_rest
-    np.testing.assert_array_equal(run.state.confidence.factor, observer.design(5e-3).prior_factor)
+    assert run.state.covariance.converged
+    np.testing.assert_array_equal(run.state.covariance.factor, observer.design(5e-3).prior_factor)
 
 
 def test_the_host_may_change_its_step_in_every_way():
@@ -245,7 +245,7 @@ def test_a_step_depends_on_nothing_but_its_arguments():
         observer.step(first, [0.3], [0.2, 0.1], H)
     again, two = observer.step(start, [0.1], [1.0, 0.9], 2e-3)
     np.testing.assert_array_equal(first.xi_hat, again.xi_hat)
-    np.testing.assert_array_equal(first.confidence.factor, again.confidence.factor)
+    np.testing.assert_array_equal(first.covariance.factor, again.covariance.factor)
     np.testing.assert_array_equal([one.d_hat, one.d_std], [two.d_hat, two.d_std])
     np.testing.assert_array_equal(start.xi_hat[:4], eq.xhat0)
 

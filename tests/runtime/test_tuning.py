@@ -10,7 +10,7 @@ import pytest
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.runtime.design.augmented import augment, discretise
 from ndob_fmu.runtime.design.gains import paper_gains
-from ndob_fmu.runtime.design.sampled_design import sampled_design
+from ndob_fmu.runtime.design.stationary_design import stationary_design
 from ndob_fmu.runtime.design.tuning import (
     Knowledge,
     _minimise,
@@ -32,7 +32,9 @@ def knowledge(p, sigma, rate, bound=(5.0,), lipschitz=10.0):
 
 
 def cost(system, H, intensities, known, alpha=1.0):
-    bias, noise = predicted_error(sampled_design(system, H, known.R_factor, intensities, alpha), known.disturbance_rate)
+    bias, noise = predicted_error(
+        stationary_design(system, H, known.R_factor, intensities, alpha), known.disturbance_rate
+    )
     return float(np.sum((bias + noise) / known.disturbance_bound))
 
 
@@ -72,8 +74,10 @@ def test_the_choice_does_not_depend_on_the_units_of_states_outputs_and_time():
     known = knowledge(p, 1e-4, [40.0], bound=[2.0])
     changed = knowledge(p, 1e-4 * length, [40.0 / ms**order], bound=[2.0])
     one, two = augment(linear, order), augment(other, order)
-    first = sampled_design(one, H, known.R_factor, tuned_intensities(one, H, 0.1, known), 0.1)
-    second = sampled_design(two, H * ms, changed.R_factor, tuned_intensities(two, H * ms, 0.1 / ms, changed), 0.1 / ms)
+    first = stationary_design(one, H, known.R_factor, tuned_intensities(one, H, 0.1, known), 0.1)
+    second = stationary_design(
+        two, H * ms, changed.R_factor, tuned_intensities(two, H * ms, 0.1 / ms, changed), 0.1 / ms
+    )
     T = np.concatenate([S, [1.0, ms]])
     np.testing.assert_allclose(
         second.K * T[:, None] * length, first.K, rtol=1e-5, atol=1e-5 * np.max(np.abs(first.K), axis=1).min()
@@ -97,7 +101,7 @@ def test_without_an_order_the_gain_over_the_step_goes_to_the_papers_at_order_one
         errors = []
         steps = np.array([4e-6, 2e-6, 1e-6])
         for H in steps:
-            found = sampled_design(system, H, known.R_factor, from_pi(system, H, pi, known), alpha)
+            found = stationary_design(system, H, known.R_factor, from_pi(system, H, pi, known), alpha)
             M = linear.selector @ paper.M
             errors.append(
                 [
@@ -113,19 +117,19 @@ def test_the_fastest_design_does_not_ring():
     """Poles for π → ∞ go to −0.268 and 0 (r = 0); none comes near the sampling zero at −1."""
     known = knowledge(2, 1e-15, [1.0])
     system = augment(LINK, 0)
-    found = sampled_design(system, 1e-3, known.R_factor, at_bandwidth(system, 1e-3, 4e4, known), 1.0)
+    found = stationary_design(system, 1e-3, known.R_factor, at_bandwidth(system, 1e-3, 4e4, known), 1.0)
     poles = np.sort(np.linalg.eigvals(found.error_dynamics).real)
     assert poles[0] == pytest.approx(-0.268, abs=5e-3)
     for order in (1, 2, 3):
         system = augment(LINK, order)
-        found = sampled_design(system, 1e-3, known.R_factor, at_bandwidth(system, 1e-3, 4e3, known), 1.0)
+        found = stationary_design(system, 1e-3, known.R_factor, at_bandwidth(system, 1e-3, 4e3, known), 1.0)
         assert np.max(np.abs(np.linalg.eigvals(found.error_dynamics))) < 0.7
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 3])
 def test_predicted_noise_and_bias_are_those_of_the_error_system_simulated(order):
     system, known, H = augment(LINK, order), knowledge(2, 1e-4, [SINE ** max(order, 1)]), 5e-3
-    found = sampled_design(system, H, known.R_factor, tuned_intensities(system, H, 1.0, known), 1.0)
+    found = stationary_design(system, H, known.R_factor, tuned_intensities(system, H, 1.0, known), 1.0)
     random = np.random.default_rng(order)
     steps = 40_000
     v = 1e-4 * random.normal(size=(steps, 2))
@@ -164,8 +168,8 @@ def test_disturbances_a_million_times_apart_in_size_are_each_followed_at_their_o
     plain, apart = augment(linear, order), augment(scaled, order)
     known = knowledge(p, 1e-4, [30.0] * q, bound=[2.0] * q)
     known_apart = knowledge(p, 1e-4, 30.0 * scale, bound=2.0 * scale)
-    one = sampled_design(plain, H, known.R_factor, tuned_intensities(plain, H, 0.1, known), 0.1)
-    two = sampled_design(apart, H, known.R_factor, tuned_intensities(apart, H, 0.1, known_apart), 0.1)
+    one = stationary_design(plain, H, known.R_factor, tuned_intensities(plain, H, 0.1, known), 0.1)
+    two = stationary_design(apart, H, known.R_factor, tuned_intensities(apart, H, 0.1, known_apart), 0.1)
     assert q == 2
     for first, second in zip(
         predicted_error(one, known.disturbance_rate), predicted_error(two, 30.0 * scale), strict=True
@@ -175,10 +179,10 @@ def test_disturbances_a_million_times_apart_in_size_are_each_followed_at_their_o
 
 def test_the_filters_covariance_of_pure_noise_is_the_stationary_one():
     system, known = augment(LINK, 2), knowledge(2, 1e-4, [40.0])
-    found = sampled_design(system, 1e-3, known.R_factor, tuned_intensities(system, 1e-3, 1.0, known), 1.0)
+    found = stationary_design(system, 1e-3, known.R_factor, tuned_intensities(system, 1e-3, 1.0, known), 1.0)
     rest = np.eye(6) - found.K @ system.C
     whole = converged_factor(found.error_dynamics, np.hstack([rest @ found.noise_factor, found.K @ known.R_factor]))
-    np.testing.assert_allclose(np.linalg.norm(whole, axis=1), np.linalg.norm(found.rest.factor, axis=1), rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(whole, axis=1), np.linalg.norm(found.update.factor, axis=1), rtol=1e-6)
 
 
 @pytest.mark.parametrize("noise", [1e-9, 1e-12])

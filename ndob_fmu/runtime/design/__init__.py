@@ -1,1 +1,1 @@
-"""What is computed once, at initialization: gains and covariances."""
+"""What is computed once for a set of parameters or a step size: gains, covariances and their figures."""

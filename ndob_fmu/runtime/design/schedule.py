@@ -10,7 +10,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.linear_part import LinearPart
-from ndob_fmu.runtime.memo import Shared, by_value
+from ndob_fmu.runtime.memo import SharedResults, by_value
 from ndob_fmu.runtime.numerics.riccati import lyapunov, solve_riccati_over
 
 _KNOTS_PER_DECADE = 8
@@ -69,7 +69,7 @@ class GainTable:
         )
 
 
-_TABLES: Shared[GainTable] = Shared(16)
+_TABLES: SharedResults[GainTable] = SharedResults(16)
 
 
 def gain_table(linear: LinearPart, schedule: PiSchedule, *, alpha: float) -> GainTable:

@@ -19,7 +19,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented
-from ndob_fmu.runtime.design.sampled_design import Intensities, SampledDesign, sampled_design
+from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, stationary_design
 from ndob_fmu.runtime.linear_part import LinearPart
 
 # f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
@@ -59,7 +59,7 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
 
     def cost(log_bandwidth: float) -> float:
         try:
-            design = sampled_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
+            design = stationary_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
         except DesignError:  # at the far ends of the range; if it is everywhere, the final design says so
             return np.inf
         with np.errstate(invalid="ignore"):
@@ -113,7 +113,7 @@ def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float,
     return Intensities(disturbance=disturbance, f=max(like_disturbance, by_noise))
 
 
-def steady_std(design: SampledDesign, rate: Array) -> Array:
+def steady_std(design: StationaryDesign, rate: Array) -> Array:
     """Return the one-sigma error bar (q2,) of d̂ a step ahead, for a disturbance of the rate (q2,) of its class.
 
     The bias counts as a number that may lie anywhere within its bounds: its variance is a third of their square.
@@ -122,12 +122,12 @@ def steady_std(design: SampledDesign, rate: Array) -> Array:
     return np.asarray(np.hypot(design.noise_std(ahead=True), bias / np.sqrt(3.0)))
 
 
-def steady_residual_std(design: SampledDesign, usual: Array) -> Array:
+def steady_residual_std(design: StationaryDesign, usual: Array) -> Array:
     """Return the standard deviation (p,) of residuals once the gain is frozen; `usual` (q2,) bounds the disturbance.
 
     What the disturbance leaves in the residuals counts like the bias of `steady_std`.
     """
-    left = design.usual_innovation @ usual
+    left = design.steady_innovation @ usual
     return np.asarray(np.hypot(design.innovation_noise_std(), left / np.sqrt(3.0)))
 
 
@@ -136,7 +136,7 @@ def sine_rate(bound: float, order: int) -> float:
     return float(bound * (2.0 * np.pi) ** max(order, 1))
 
 
-def predicted_error(design: SampledDesign, rate: Array) -> tuple[Array, Array]:
+def predicted_error(design: StationaryDesign, rate: Array) -> tuple[Array, Array]:
     """Return bias and noise (q2,) of d̂ at the sample, for a disturbance of the rate (q2,) of its class."""
     return design.bias_gain() @ rate, design.noise_std()
 

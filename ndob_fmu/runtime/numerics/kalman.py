@@ -3,9 +3,9 @@
     update    S = C P⁻ Cᵀ + R,   K = P⁻ Cᵀ S⁻¹,   P = (I − K C) P⁻
     predict   P⁻ = Φ P Φᵀ + Q
 
-The recursion is carried out on factors, P = F Fᵀ, by orthogonal triangularisation. It serves what the Joseph form
-is for, a symmetric and positive P, and keeps twice the digits: between an angle known to 1e-15 and a disturbance of
-1e2, products of covariances would lose the smaller one altogether.
+The recursion is carried out on factors, P = F Fᵀ, by orthogonal triangularisation. Like the Joseph form it keeps P
+symmetric and positive, and it keeps twice the digits: between an angle known to 1e-15 and a disturbance of 1e2,
+products of covariances would lose the smaller one altogether.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 
-# A filter that takes more than 2⁴⁰ steps to forget counts as one that never does: after more squarings rounding errors
-# alone decide on which side of one a pole near it lies.
+# A filter that takes more than 2⁴⁰ steps to forget counts as unstable: after more squarings rounding errors decide on
+# which side of the unit circle a pole near it lies.
 _MOST_DOUBLINGS = 40
-# Each doubling squares what is left to add: after an addition of this relative size, nothing is.
+# Each doubling squares what is left to add: after an addition of this relative size the rest is below rounding.
 _CONVERGED = 1e-9
-# The first pass is made in the states themselves, each other one in the coordinates that the pass before found. These
-# are right where a pass leaves them within this factor.
+# The first pass works in the states themselves, each later one in the coordinates that the pass before found. The
+# passes end when one changes the coordinates by less than this factor.
 _MOST_PASSES = 5
 _SAME_COORDINATES = 4.0
 _TOLERANCE = 1e-6
@@ -65,7 +65,7 @@ def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Ar
         factor = np.eye(len(Phi))
         try:
             for _ in range(_MOST_PASSES):
-                T = own_coordinates(factor)
+                T = whitening(factor)
                 z_factor = _doubled(forward(T, Phi @ T), seen @ T, forward(T, noise_factor))
                 factor = triangular(T @ z_factor)
                 sizes = np.abs(np.diag(z_factor))
@@ -113,13 +113,13 @@ def _doubled(Phi: Array, C: Array, noise_factor: Array) -> Array:
     raise np.linalg.LinAlgError
 
 
-def own_coordinates(factor: Array) -> Array:
-    """Return T (N,N), lower triangular, of ξ = T z in which the covariance is I, but for what no noise reaches."""
+def whitening(factor: Array) -> Array:
+    """Return T (N,N), lower triangular, of ξ = T z: z has the covariance I, except for states that no noise reaches."""
     T = triangular(factor)
-    own = np.abs(np.diag(T))
+    sizes = np.abs(np.diag(T))
     norms = np.linalg.norm(T, axis=1)
-    own = np.where(norms > 0.0, np.maximum(own, np.finfo(float).eps * norms), 1.0)
-    np.fill_diagonal(T, np.copysign(own, np.diag(T)))
+    sizes = np.where(norms > 0.0, np.maximum(sizes, np.finfo(float).eps * norms), 1.0)
+    np.fill_diagonal(T, np.copysign(sizes, np.diag(T)))
     return T
 
 

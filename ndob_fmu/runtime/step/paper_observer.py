@@ -20,7 +20,7 @@ from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.schedule import GainTable, PiSchedule, gain_table
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.linear_part import LinearPart
-from ndob_fmu.runtime.memo import Latest
+from ndob_fmu.runtime.memo import LatestResult
 from ndob_fmu.runtime.numerics.exponential import ExponentialStep, exponential_step
 from ndob_fmu.runtime.numerics.hold import History, empty_history
 from ndob_fmu.runtime.step.observer import Estimate, numbers
@@ -56,9 +56,9 @@ class PaperObserver:
     noise_std: float = 0.0
     disturbance_bound: Vector = ()
     # These stay the same once π does. They remember a result, not the past: a step's outcome never depends on them.
-    _coefficients: Latest[ExponentialStep] = field(default_factory=Latest, repr=False, compare=False)
-    _estimate_gain: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
-    _d_std: Latest[Array] = field(default_factory=Latest, repr=False, compare=False)
+    _coefficients: LatestResult[ExponentialStep] = field(default_factory=LatestResult, repr=False, compare=False)
+    _estimate_gain: LatestResult[Array] = field(default_factory=LatestResult, repr=False, compare=False)
+    _d_std: LatestResult[Array] = field(default_factory=LatestResult, repr=False, compare=False)
 
     def init(self, x_hat: Vector) -> ObserverState:
         """Return the state that starts from x̂₀ (n,)."""

@@ -1,32 +1,34 @@
-"""What the sampled-data observer remembers, and what its steps have in common once the gain is frozen."""
+"""What the sampled-data observer remembers from one step to the next."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.equations import Vector
 
 Numbers: TypeAlias = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Confidence:
-    """How good ξ̂⁻ is, and how it came to be so.
+class CovarianceState:
+    """How well ξ̂⁻ is known, and what decides about the next gain.
 
-    factor (N,N): of its covariance; d_std (q2,): error bar of d̂; at_rest: whether the gain is frozen; tuned_at: the
-    step (s) that the intensities were tuned for, 0 before the first one; waited: time (s) of the short steps since the
-    last sample that was used; refused: samples refused in a row; age: steps since the start, as far as they count.
+    factor (N,N): of the covariance of ξ̂⁻.
+    d_std (q2,): error bar of d̂.
+    converged: whether the gain is frozen.
+    tuned_at: the step (s) that the intensities were tuned for; 0 before the first step.
+    waited: time (s) of the short steps since the last sample that was used.
+    rejected: samples rejected in a row.
+    age: samples since the start, counted until the start-up is over.
     """
 
     factor: Array
     d_std: Numbers
-    at_rest: bool
+    converged: bool
     tuned_at: float
     waited: float
-    refused: int
+    rejected: int
     age: int
 
 
@@ -34,29 +36,15 @@ class Confidence:
 class SampledState:
     """All that the observer remembers, as of just before the next sample.
 
-    xi_hat (n + 3 q2,): ξ̂⁻, and zeros for the derivatives of d̂ beyond the order r; d_hat (q2,); u (m,): the last finite
-    input; deviation (p,): how far the last sample lay from its prediction, with its sign, or could have lain where it
-    was not used.
+    xi_hat (n + 3 q2,): ξ̂⁻, and zeros for the derivatives of d̂ beyond the order r.
+    d_hat (q2,): d̂.
+    u (m,): the last finite input.
+    innovation (p,): of the last sample, y − C ξ̂⁻; the largest plausible one where that sample was not used.
+    covariance: how well ξ̂⁻ is known.
     """
 
     xi_hat: Numbers
     d_hat: Numbers
     u: Numbers
-    deviation: Numbers
-    confidence: Confidence
-
-
-@dataclass(frozen=True)
-class StepAtRest:
-    """What all steps of one length H (s) have in common once the gain is frozen.
-
-    observer_step is that of `equations.Steps`, constants and frozen are its k and r. M_H (q2,p): None but for r = 0.
-    confidence: at rest.
-    """
-
-    H: float
-    observer_step: Callable[[Vector, Vector, Vector, Vector, float], tuple[Numbers, ...] | None]
-    constants: Numbers
-    frozen: Numbers
-    M_H: tuple[Numbers, ...] | None
-    confidence: Confidence
+    innovation: Numbers
+    covariance: CovarianceState

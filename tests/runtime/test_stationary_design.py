@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ndob_fmu.runtime.design.augmented import augment
-from ndob_fmu.runtime.design.sampled_design import sampled_design
+from ndob_fmu.runtime.design.stationary_design import stationary_design
 from ndob_fmu.runtime.design.tuning import Knowledge, at_bandwidth, predicted_error, tuned_intensities
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.kalman import gain_change
@@ -31,7 +31,7 @@ def knowledge(linear: LinearPart, sigma: float, order: int) -> Knowledge:
 
 def tuned(linear, *, H, order, sigma, alpha=0.3):
     system, known = augment(linear, order), knowledge(linear, sigma, order)
-    found = sampled_design(system, H, known.R_factor, tuned_intensities(system, H, alpha, known), alpha)
+    found = stationary_design(system, H, known.R_factor, tuned_intensities(system, H, alpha, known), alpha)
     return found, known
 
 
@@ -84,8 +84,8 @@ def test_last_bits_of_the_plant_decide_nothing_and_change_the_gain_in_its_last_d
             gains, predictions = [], []
             for linear in (problem.linear, rounded_anew(problem.linear, 1), rounded_anew(problem.linear, 2)):
                 system, known = augment(linear, order), knowledge(linear, sigma, order)
-                found = sampled_design(system, H, known.R_factor, at_bandwidth(system, H, bandwidth / H, known), 0.3)
-                gains.append(found.rest)
+                found = stationary_design(system, H, known.R_factor, at_bandwidth(system, H, bandwidth / H, known), 0.3)
+                gains.append(found.update)
                 predictions.append(predicted_error(found, known.disturbance_rate))
             assert max(gain_change(gains[0], other) for other in gains[1:]) < digits
             for other in predictions[1:]:

@@ -1,4 +1,4 @@
-"""The sampled-data gain at a step H and given noise, and what it promises: noise and bias of d̂."""
+"""The stationary sampled-data gain at a step H and given noise, and the noise and the bias of d̂ that it predicts."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ndob_fmu.runtime.numerics.kalman import (
     Update,
     converged_factor,
     forward,
-    own_coordinates,
     stationary,
     triangular,
     update,
+    whitening,
 )
 
-# The response to a jump counts as decayed where the error has come this near to its end, of the way that it was from
-# it, and is not followed further than so many samples; the jump is tried at these parts of its step.
+# The response to a jump is followed until its distance from the final value is below this part of its largest distance,
+# and over so many samples at most. The jump is tried at these parts of its step.
 _DECAYED = 0.01
 _LONGEST_RESPONSE = 200
 _INSTANTS = (0.0, 0.25, 0.5, 0.75)
@@ -31,11 +31,12 @@ _INSTANTS = (0.0, 0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class Intensities:
-    """White noise that the design assumes: `disturbance` (q_d,) on w_d (on all of G for r = 0), `f` on f's channel.
+    """White noise that the design assumes. A noise of intensity s, averaged over a step H, has the variance s/H.
 
-    Intensity is variance times time: a noise of intensity s, averaged over a step H, has the variance s/H. All of it
-    and the noise of the samples are taken to be `scale` times as large as they are, in standard deviations: this leaves
-    the gain at rest as it is, and sets what weighs how much against the uncertainty at the start.
+    disturbance (q_d,): intensities on w_d, on all of G for r = 0.
+    f: intensity on the channel of f.
+    scale: factor on the standard deviations of all noises, that of the samples included. It leaves the converged gain
+    as it is, and sets the weight of the noise against the uncertainty at the start.
     """
 
     disturbance: Array
@@ -44,14 +45,19 @@ class Intensities:
 
 
 @dataclass(frozen=True)
-class SampledDesign:
-    """The stationary design. N = n + r q2; R = R_factor R_factorᵀ (p,p) is the noise of a sample.
+class StationaryDesign:
+    """The stationary design, N = n + r q2.
 
-    noise_factor (N,·) and sample_factor (p,p): of the noise over a step and in a sample as the covariance has them,
-    `intensities.scale` times as large as they are; prior_factor (N,N): of the covariance P⁻ before a sample; rest: the
-    update there, with the gain K (N,p);
-    M_H (q2,p): d̂ = M_H e for r = 0, exact at DC; None for r ≥ 1, where d̂ is part of ξ̂;
-    own: the filter in its own coordinates.
+    system, discrete: the model, continuous and sampled.
+    intensities: the noise on it.
+    alpha: α of the paper (1/s), used for r = 0 only.
+    noise_factor (N,·): of the covariance of the noise over a step, times `intensities.scale`.
+    R_factor (p,p): R_factor R_factorᵀ is the covariance of the noise of a sample.
+    sample_factor (p,p): R_factor times `intensities.scale`.
+    prior_factor (N,N): of the converged covariance P⁻ before a sample.
+    update: the measurement update there, with the gain K (N,p).
+    M_H (q2,p): d̂ = M_H e for r = 0, exact at DC; None for r ≥ 1, where d̂ is part of ξ̂.
+    whitened: the filter in coordinates in which its covariance is I.
     """
 
     system: Augmented
@@ -62,14 +68,14 @@ class SampledDesign:
     R_factor: Array = field(repr=False)
     sample_factor: Array = field(repr=False)
     prior_factor: Array = field(repr=False)
-    rest: Update = field(repr=False)
+    update: Update = field(repr=False)
     M_H: Array | None
-    own: Own = field(repr=False)
+    whitened: Whitened = field(repr=False)
 
     @property
     def K(self) -> Array:
         """The stationary gain, (N,p)."""
-        return self.rest.K
+        return self.update.K
 
     @property
     def error_dynamics(self) -> Array:
@@ -79,15 +85,15 @@ class SampledDesign:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """The filter's poles (N,), in the z plane."""
-        return np.asarray(np.linalg.eigvals(self.own.after_sample)).astype(complex)
+        return np.asarray(np.linalg.eigvals(self.whitened.after_sample)).astype(complex)
 
     def noise_std(self, *, ahead: bool = False) -> Array:
         """Return the standard deviation (q2,) that sample noise gives d̂, at the sample or a step `ahead` of it."""
-        own = self.own
+        z = self.whitened
         if self.M_H is not None:
             return np.asarray(np.linalg.norm(self.M_H @ self._innovation_noise(), axis=1))
-        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
-        selector = own.selector @ (own.step if ahead else own.update)
+        factor = converged_factor(z.after_sample, z.gain / self.intensities.scale)
+        selector = z.selector @ (z.step if ahead else z.update)
         return np.asarray(np.linalg.norm(selector @ factor, axis=1))
 
     def innovation_noise_std(self) -> Array:
@@ -95,85 +101,88 @@ class SampledDesign:
         return np.asarray(np.linalg.norm(self._innovation_noise(), axis=1))
 
     def _innovation_noise(self) -> Array:
-        own = self.own
-        factor = converged_factor(own.after_sample, own.gain / self.intensities.scale)
-        return np.hstack([own.C @ own.step @ factor, self.R_factor])
+        z = self.whitened
+        factor = converged_factor(z.after_sample, z.gain / self.intensities.scale)
+        return np.hstack([z.C @ z.step @ factor, self.R_factor])
 
     def bias_gain(self, *, ahead: bool = False) -> Array:
         """Return |E| (q2,q2): the constant error of d̂_i where d_j's r-th derivative (the first, for r = 0) is one."""
-        own = self.own
+        z = self.whitened
         if self.M_H is not None:
             # A step later d̂ is still the one read at the sample.
             lag = self.discrete.H * np.eye(len(self.M_H)) if ahead else 0.0
-            return np.abs(self.M_H @ own.C @ self._ramp_error() - lag)
-        error = own.settled(forward(own.T, self.discrete.drive))
-        return np.asarray(np.abs(own.selector @ (error if ahead else own.update @ own.update.T @ error)))
+            return np.abs(self.M_H @ z.C @ self._ramp_error() - lag)
+        error = z.settled(forward(z.T, self.discrete.drive))
+        return np.asarray(np.abs(z.selector @ (error if ahead else z.update @ z.update.T @ error)))
 
     @cached_property
-    def usual_innovation(self) -> Array:
-        """Return |y − C ξ̂⁻| (p,q2) at rest for d = 1 (r = 0) or an r-th derivative of one: what samples show of it."""
-        own = self.own
+    def steady_innovation(self) -> Array:
+        """Return the steady |y − C ξ̂⁻| (p,q2) for an r-th derivative of d of one, for d = 1 where r = 0."""
+        z = self.whitened
         source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
-        return np.asarray(np.abs(own.C @ own.settled(forward(own.T, source))))
+        return np.asarray(np.abs(z.C @ z.settled(forward(z.T, source))))
 
     @cached_property
     def jump_responses(self) -> Array:
-        """Return |y − C ξ̂⁻| (i,J+1,p,q2) around a jump of d by one, at rest before: a row 0, then the samples after it.
+        """Return |y − C ξ̂⁻| (i,J+1,p,q2) around a jump of d by one: zeros, then those of the J samples after the jump.
 
         Each i is another instant of the jump within its step. J is where they have decayed, 200 at most.
         """
-        own, n, order = self.own, len(self.system.linear.A), self.system.order
+        z, n, order = self.whitened, len(self.system.linear.A), self.system.order
         q = self.discrete.held_disturbance.shape[1]
 
         def error_after(duration: float) -> Array:
             since = discretise(self.system, duration, self.alpha)
-            return forward(own.T, since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
+            return forward(z.T, since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
 
         errors = np.array([error_after((1.0 - instant) * self.discrete.H) for instant in _INSTANTS])
         lasting = error_after(self.discrete.H) if order == 0 else np.zeros((n + order * q, q))
-        settled = own.settled(lasting)
+        settled = z.settled(lasting)
 
         def distance_left() -> float:
-            return float(np.linalg.norm([forward(own.update, error - settled) for error in errors]))
+            return float(np.linalg.norm([forward(z.update, error - settled) for error in errors]))
 
-        responses = [np.zeros((len(errors), len(own.C), q)), own.C @ errors]
+        responses = [np.zeros((len(errors), len(z.C), q)), z.C @ errors]
         distance = largest = distance_left()
         while distance > _DECAYED * largest and len(responses) <= _LONGEST_RESPONSE:
-            errors = own.before_sample @ errors + lasting
-            responses.append(own.C @ errors)
+            errors = z.before_sample @ errors + lasting
+            responses.append(z.C @ errors)
             distance = distance_left()
             largest = max(largest, distance)
         return np.asarray(np.abs(np.stack(responses, axis=1)))
 
     def variance_of(self, states: Sequence[int]) -> float:
-        """Return the summed variance of these states' errors before a sample if f is wrong by one in each step, white.
+        """Return the summed variance of these states' errors before a sample if white noise of one is added to f.
 
-        At rest, and infinite where there is none.
+        It is that of the converged filter, and infinite where the errors grow without bound.
         """
-        own = self.own
-        factor = converged_factor(own.before_sample, forward(own.T, self.discrete.held_f))
-        return float(np.sum((own.T[list(states)] @ factor) ** 2)) if np.all(np.isfinite(factor)) else np.inf
+        z = self.whitened
+        factor = converged_factor(z.before_sample, forward(z.T, self.discrete.held_f))
+        return float(np.sum((z.T[list(states)] @ factor) ** 2)) if np.all(np.isfinite(factor)) else np.inf
 
     def _ramp_error(self) -> Array:
         """Return b (n,q2) of the error before the update for r = 0 and d = t in one channel each, x̃⁻ = a t/H + b."""
-        own, H, linear = self.own, self.discrete.H, self.system.linear
+        z, H, linear = self.whitened, self.discrete.H, self.system.linear
         n, q_d = linear.G_d.shape
         # Over a step the ramp adds the integral of e^{A(H−s)} G s, which is the drive of a doubly integrated channel.
         chain = np.zeros((n + 2 * q_d, n + 2 * q_d))
         chain[:n, :n], chain[:n, n : n + q_d] = linear.A, linear.G_d
         chain[n : n + q_d, n + q_d :] = np.eye(q_d)
-        sampled = forward(own.T, exponential(chain * H)[:n])
+        sampled = forward(z.T, exponential(chain * H)[:n])
         from_d, from_rate = sampled[:, n : n + q_d], sampled[:, n + q_d :]
-        return own.settled(from_rate - own.settled(from_d * H))
+        return z.settled(from_rate - z.settled(from_d * H))
 
 
 @dataclass(frozen=True)
-class Own:
-    """The filter in coordinates in which its covariance is I, where solving loses no digits.
+class Whitened:
+    """The filter in coordinates z in which its covariance is I, where solving loses no digits.
 
     The error is T z⁻ before a sample with the noise sample_factor v, and T update z after it, z = updateᵀ z⁻ − gain v;
-    a step later z⁻ = step z. T, update, step (N,N), gain (N,p); C (p,N) and selector (q2,N) act on z⁻. Both covariances
-    are I, so that update and step are contractions; I − K C = T update updateᵀ T⁻¹ is no difference of large numbers.
+    a step later z⁻ = step z. Both covariances are I, so that update and step are contractions;
+    I − K C = T update updateᵀ T⁻¹ is computed without a difference of large numbers.
+
+    T, update, step (N,N) and gain (N,p): as above.
+    C (p,N), selector (q2,N): act on z⁻.
     """
 
     T: Array
@@ -198,13 +207,13 @@ class Own:
         return np.asarray(np.linalg.solve(np.eye(len(self.T)) - self.before_sample, added), dtype=float)
 
 
-def _own(system: Augmented, discrete: Discrete, sample_factor: Array, prior_factor: Array) -> Own:
-    T = own_coordinates(prior_factor)
+def _whitened(system: Augmented, discrete: Discrete, sample_factor: Array, prior_factor: Array) -> Whitened:
+    T = whitening(prior_factor)
     seen = np.linalg.solve(sample_factor, system.C @ T)
     p, N = seen.shape
     after = triangular(np.block([[np.eye(p), seen], [np.zeros((N, p)), np.eye(N)]]))[p:, p:]
     selector = np.zeros((0, N)) if system.selector is None else system.selector
-    return Own(
+    return Whitened(
         T=T,
         update=after,
         step=forward(T, discrete.Phi @ T @ after),
@@ -214,16 +223,15 @@ def _own(system: Augmented, discrete: Discrete, sample_factor: Array, prior_fact
     )
 
 
-def sampled_design(
+def stationary_design(
     system: Augmented, H: float, R_factor: Array, intensities: Intensities, alpha: float
-) -> SampledDesign:
-    """Design the stationary gain for a step H > 0 s. Raises DesignError where it cannot be found."""
+) -> StationaryDesign:
+    """Design the stationary gain for a step H > 0 s. Raises DesignError where none can be found."""
     discrete = discretise(system, H, alpha)
     noise_factor, sample_factor = scaled_noise(discrete, intensities), intensities.scale * R_factor
     prior_factor = stationary(discrete.filter_phi, system.C, noise_factor, sample_factor)
-    rest = update(prior_factor, system.C, sample_factor)
-    own = _own(system, discrete, sample_factor, prior_factor)
-    return SampledDesign(
+    z = _whitened(system, discrete, sample_factor, prior_factor)
+    return StationaryDesign(
         system=system,
         discrete=discrete,
         intensities=intensities,
@@ -232,9 +240,9 @@ def sampled_design(
         R_factor=R_factor,
         sample_factor=sample_factor,
         prior_factor=prior_factor,
-        rest=rest,
-        M_H=_dc_inverse(system, discrete, own) if system.order == 0 else None,
-        own=own,
+        update=update(prior_factor, system.C, sample_factor),
+        M_H=_dc_inverse(system, discrete, z) if system.order == 0 else None,
+        whitened=z,
     )
 
 
@@ -246,6 +254,6 @@ def scaled_noise(discrete: Discrete, intensities: Intensities) -> Array:
     return np.asarray(intensities.scale * noise)
 
 
-def _dc_inverse(system: Augmented, discrete: Discrete, own: Own) -> Array:
+def _dc_inverse(system: Augmented, discrete: Discrete, z: Whitened) -> Array:
     """Return M_H (q2,p): the rows for d of [C (I − Φ (I − K C))⁻¹ Γ]⁻¹, the left inverse where p > q."""
-    return np.asarray(system.linear.selector @ np.linalg.pinv(own.C @ own.settled(forward(own.T, discrete.drive))))
+    return np.asarray(system.linear.selector @ np.linalg.pinv(z.C @ z.settled(forward(z.T, discrete.drive))))

@@ -1,0 +1,110 @@
+"""The designs of one observer: one for each step size that it meets, each made once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.augmented import Augmented
+from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, stationary_design
+from ndob_fmu.runtime.design.tuning import Knowledge, from_pi, steady_residual_std, steady_std, tuned_intensities
+from ndob_fmu.runtime.memo import LatestResult, SharedResults, by_value
+
+# A thousand instances of the same parameters need one design.
+_INTENSITIES: SharedResults[Intensities] = SharedResults(64)
+_DESIGNS: SharedResults[StationaryDesign] = SharedResults(16)
+# The covariance of states whose sums are measured keeps no digit of a noise that is smaller than this part of theirs.
+_LEAST_NOISE = 1e-10
+
+
+@dataclass(frozen=True)
+class StepDesign:
+    """The stationary design for a step size, and what follows from it for the class of disturbances that is known.
+
+    f_states: indices of the states that f depends on.
+    """
+
+    stationary: StationaryDesign
+    known: Knowledge
+    f_states: tuple[int, ...]
+
+    @property
+    def H(self) -> float:
+        """The step size (s)."""
+        return self.stationary.discrete.H
+
+    @property
+    def source_bound(self) -> Array:
+        """Bound (q2,) of what drives the disturbance in the model: of d^{(r)}, of d itself for r = 0."""
+        return self.known.disturbance_rate if self.stationary.system.order else self.known.disturbance_bound
+
+    @cached_property
+    def disturbance_std(self) -> Array:
+        """The error bar (q2,) of d̂ a step ahead, once the gain has converged."""
+        return steady_std(self.stationary, self.known.disturbance_rate)
+
+    @cached_property
+    def residual_std(self) -> Array:
+        """The standard deviation (p,) of residuals once the gain has converged."""
+        return steady_residual_std(self.stationary, self.source_bound)
+
+    @cached_property
+    def f_error_fades(self) -> bool:
+        """Whether errors of f decay: the small-gain condition on γ, in mean squares."""
+        return self.known.lipschitz**2 * self.stationary.variance_of(self.f_states) < 1.0
+
+
+@dataclass(frozen=True)
+class StepDesigns:
+    """Finds the design for a step size.
+
+    x_std (n,): standard deviations of x̂₀'s error. pi: sets the pace where `known` has no rate of the disturbance (0).
+    f_states: indices of the states that f depends on.
+    """
+
+    system: Augmented
+    known: Knowledge
+    x_std: Array
+    alpha: float
+    pi: float
+    f_states: tuple[int, ...]
+    _latest: LatestResult[StepDesign] = field(default_factory=LatestResult, repr=False, compare=False)
+    _latest_intensities: LatestResult[Intensities] = field(default_factory=LatestResult, repr=False, compare=False)
+
+    def at(self, H: float, tuned_at: float | None = None) -> StepDesign:
+        """Return the design for a step H (s), with the intensities tuned for a step `tuned_at` (s) near it, H if None.
+
+        Raises DesignError where there is none.
+        """
+        tuned_for = tuned_at or H
+        intensities = self.intensities(tuned_for)
+
+        def stationary() -> StationaryDesign:
+            return stationary_design(self.system, H, self.known.R_factor, intensities, self.alpha)
+
+        def design() -> StepDesign:
+            return StepDesign(_DESIGNS((H, tuned_for, self._key), stationary), self.known, self.f_states)
+
+        return self._latest((H, tuned_for), design)
+
+    def intensities(self, H: float) -> Intensities:
+        """Return the noise intensities tuned for a step H (s)."""
+        return self._latest_intensities((H,), lambda: _INTENSITIES((H, self._key), lambda: self._tuned(H)))
+
+    def _tuned(self, H: float) -> Intensities:
+        if np.all(self.known.disturbance_rate > 0.0):
+            found = tuned_intensities(self.system, H, self.alpha, self.known)
+        else:
+            found = from_pi(self.system, H, self.pi, self.known)
+        largest = np.abs(self.system.linear.C) @ self.x_std
+        scale = float(np.max(_LEAST_NOISE * largest / np.diag(self.known.R_factor)))
+        return replace(found, scale=max(found.scale, scale))
+
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        """All that intensities and stationary designs depend on besides the step."""
+        key: tuple[object, ...] = by_value((self.system, self.known, self.x_std, self.alpha, self.pi))
+        return key
