@@ -11,8 +11,8 @@ import numpy as np
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model.model import Model
-from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.support.progress import begin
 
 # A model never changes, and writing its code takes seconds.

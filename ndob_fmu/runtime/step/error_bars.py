@@ -21,7 +21,7 @@ def held_disturbance_std(before: Array, design: StepDesign, H: float) -> Array:
 
     before (q2,): the error bar at the start. What d may do meanwhile counts like the bias of `tuning.steady_std`.
     """
-    return before + design.known.disturbance_rate * H / np.sqrt(3.0)
+    return np.asarray(before + design.known.disturbance_rate * H / np.sqrt(3.0))
 
 
 def residual_std(factor: Array, design: StepDesign) -> Array:
