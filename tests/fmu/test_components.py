@@ -237,6 +237,11 @@ def test_an_angle_that_is_not_finite_is_a_lost_sample():
     assert shown(encoder(dropped_nan=False), [2.0, math.nan, 3.0]) == [2.0, 2.0, 3.0]
 
 
+@pytest.mark.parametrize("angle", [1e300, -1.7e308, 2.0**60])
+def test_an_angle_so_large_that_its_counts_overflow_is_shown_as_it_is(angle):
+    assert shown(encoder(counts_per_revolution=4096), [0.0, angle]) == [0.0, angle]
+
+
 # -- controller
 
 

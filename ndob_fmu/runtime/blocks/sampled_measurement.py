@@ -14,7 +14,7 @@ MISSING = {"held": 1, "not_a_number": 2}
 # Hosts add up their times, or round them. A sample or a value that is due within this part of a period or of a step
 # after the step's end, or within this many roundings of its time, must not slip to the next step.
 _OF_A_PERIOD, _OF_A_STEP, _ROUNDINGS = 1e-6, 1e-3, 4.0
-_LARGEST_INDEX = 2**53  # beyond it times do not tell samples apart
+_LARGEST_INDEX = 2**53  # the largest number up to which a float counts
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,11 @@ class SampledMeasurement(ABC):
         first, second, *_ = uniforms(self.seed, index)
         disturbed = value + self.bias + self.noise_std * normal(first, second)
         quantum = self.rounded_to()
-        if quantum == 0.0 or not isfinite(disturbed):
-            return disturbed if isfinite(disturbed) else nan
+        if not isfinite(disturbed):
+            return nan
+        # Beyond 2⁵³ counts the numbers themselves are coarser than the quantum.
+        if quantum == 0.0 or abs(disturbed / quantum) >= _LARGEST_INDEX:
+            return disturbed
         return floor(disturbed / quantum + 0.5) * quantum
 
     def _shown(self, good: float, samples: Iterable[float]) -> tuple[float, float, bool]:
