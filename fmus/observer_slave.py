@@ -15,15 +15,15 @@ from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.numerics.hold import History
 from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
 from ndob_fmu.runtime.step.observer import Estimate
-from ndob_fmu.runtime.step.paper_observer import ObserverState, PaperObserver, paper_observer
+from ndob_fmu.runtime.step.paper_observer import PaperObserver, PaperObserverState, paper_observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
-from ndob_fmu.runtime.step.sampled_state import CovarianceState, SampledState
+from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, SampledObserverState
 
 
 class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
-    state_types = (SampledState, CovarianceState, ObserverState, History, ChannelState)
+    state_types = (SampledObserverState, CovarianceState, PaperObserverState, History, ChannelState)
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations

@@ -106,7 +106,7 @@ def continuous(pi_of, gain, times, edges):
 def continuous_d_hat(schedule, times):
     """With the table's gains while π moves; with SciPy's solution of eq. (24) where it does not."""
     if schedule.ramp_time:
-        table, edges = joint_observer(schedule).table, [0.0, schedule.ramp_time, times[-1]]
+        table, edges = joint_observer(schedule).gains.table, [0.0, schedule.ramp_time, times[-1]]
         return continuous(
             lambda t: np.exp(schedule.log_pi(t)), lambda pi: table.gain(np.log(pi)), np.array(times), edges
         )[0]
@@ -139,7 +139,7 @@ def test_d_hat_converges_to_that_of_the_continuous_observer_with_order_k_plus_1(
 
 def test_steps_of_varying_length_give_the_same_estimate():
     schedule = PiSchedule(1.0, 1e5, 1.5)
-    gain = joint_observer(schedule).table.gain
+    gain = joint_observer(schedule).gains.table.gain
     d_hats, x_hats = continuous(
         lambda t: np.exp(schedule.log_pi(t)), lambda pi: gain(np.log(pi)), np.array([2.0]), [0, 1.5, 2]
     )

@@ -7,6 +7,7 @@ With them, x' = A x + N₀ + N₁ t + N₂ t²/2 has x(h) = e^{Ah} x₀ + h φ�
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,6 +49,21 @@ class ExponentialStep:
     start_weight: Array = field(repr=False)
     middle_weight: Array = field(repr=False)
     end_weight: Array = field(repr=False)
+
+    def advance(self, x: Array, N: Callable[[Array, int], Array]) -> Array:
+        """Return x (n,) a step later; N(x, i) is N at the start (i = 0), the middle (1) or the end (2) of the step."""
+        N_start = N(x, 0)
+        first = self.half @ x + self.half_weight @ N_start
+        N_first = N(first, 1)
+        second = self.half @ x + self.half_weight @ N_first
+        N_second = N(second, 1)
+        third = self.half @ first + self.half_weight @ (2.0 * N_second - N_start)
+        return np.asarray(
+            self.full @ x
+            + self.start_weight @ N_start
+            + self.middle_weight @ (N_first + N_second)
+            + self.end_weight @ N(third, 2)
+        )
 
 
 def exponential_step(A: Array, h: float, coordinates: Array) -> ExponentialStep:

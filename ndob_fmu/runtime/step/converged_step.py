@@ -13,7 +13,7 @@ from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.step.error_bars import disturbance_std, residual_std
 from ndob_fmu.runtime.step.gate import gate
 from ndob_fmu.runtime.step.observer import numbers
-from ndob_fmu.runtime.step.sampled_state import CovarianceState, Numbers
+from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, Numbers
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.design.step_designs import StepDesign
 from ndob_fmu.runtime.numerics.kalman import Update, gain_change, update
 from ndob_fmu.runtime.step.gate import accepted_unjudged, judge
-from ndob_fmu.runtime.step.sampled_state import SampledState
+from ndob_fmu.runtime.step.sampled_observer_state import SampledObserverState
 
 _CONVERGED = 1e-7  # largest change of a correction K e, in standard deviations of the state that it corrects
 
@@ -51,7 +51,7 @@ class Corrected:
 
 
 def correct(
-    state: SampledState, xi_hat: Array, sample: Sample, design: StepDesign, start: StartUp, H: float
+    state: SampledObserverState, xi_hat: Array, sample: Sample, design: StepDesign, start: StartUp, H: float
 ) -> Corrected:
     """Correct ξ̂⁻ (N,) of a state with a sample at the start of a step H (s)."""
     before, stationary = state.covariance, design.stationary
@@ -85,7 +85,7 @@ def correct(
     )
 
 
-def leave_out(state: SampledState, xi_hat: Array, sample: Sample) -> Corrected:
+def leave_out(state: SampledObserverState, xi_hat: Array, sample: Sample) -> Corrected:
     """Keep ξ̂⁻ (N,) of a state as it is before a short step, whose sample is not used."""
     before = state.covariance
     return Corrected(

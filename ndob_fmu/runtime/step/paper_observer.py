@@ -15,9 +15,9 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
-from ndob_fmu.runtime.design.gains import orthogonal_factor
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
-from ndob_fmu.runtime.design.schedule import GainTable, PiSchedule, gain_table
+from ndob_fmu.runtime.design.schedule import PiSchedule, gain_table
+from ndob_fmu.runtime.design.scheduled_gains import ScheduledGains
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.memo import LatestResult
@@ -33,8 +33,15 @@ _LARGEST_LOG_PI_STEP = 0.1
 
 
 @dataclass(frozen=True)
-class ObserverState:
-    """All that the observer remembers: x̂ (n,), s since the start, past samples, the last input and estimate ŵ (q,)."""
+class PaperObserverState:
+    """All that the observer remembers.
+
+    x_hat (n,): x̂.
+    elapsed: s since the start.
+    history: past samples.
+    u (m,): the last finite input.
+    w_hat (q,): the last estimate ŵ.
+    """
 
     x_hat: Array
     elapsed: float
@@ -49,20 +56,19 @@ class PaperObserver:
 
     equations: Equations
     parameters: Vector
-    linear: LinearPart
-    schedule: PiSchedule
-    table: GainTable = field(repr=False)
+    gains: ScheduledGains
     hold_degree: int = 2
-    noise_std: float = 0.0
-    disturbance_bound: Vector = ()
-    # These stay the same once π does. They remember a result, not the past: a step's outcome never depends on them.
+    # It stays the same once π does.
     _coefficients: LatestResult[ExponentialStep] = field(default_factory=LatestResult, repr=False, compare=False)
-    _estimate_gain: LatestResult[Array] = field(default_factory=LatestResult, repr=False, compare=False)
-    _d_std: LatestResult[Array] = field(default_factory=LatestResult, repr=False, compare=False)
 
-    def init(self, x_hat: Vector) -> ObserverState:
+    @property
+    def linear(self) -> LinearPart:
+        """The plant's matrices."""
+        return self.gains.linear
+
+    def init(self, x_hat: Vector) -> PaperObserverState:
         """Return the state that starts from x̂₀ (n,)."""
-        return ObserverState(
+        return PaperObserverState(
             x_hat=np.array(x_hat, dtype=float),
             elapsed=0.0,
             history=empty_history(len(self.linear.C)),
@@ -70,12 +76,12 @@ class PaperObserver:
             w_hat=np.zeros(self.linear.G.shape[1]),
         )
 
-    def possible(self, state: ObserverState, elapsed: float) -> bool:
+    def possible(self, state: PaperObserverState, elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
         finite = all(np.all(np.isfinite(part)) for part in (state.x_hat, state.u, state.w_hat))
         return finite and state.history.possible(self.hold_degree) and same_time(state.elapsed, elapsed)
 
-    def estimate(self, state: ObserverState, y: Vector) -> Estimate:
+    def estimate(self, state: PaperObserverState, y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""
         sample = np.array(y, dtype=float)
         valid = bool(np.all(np.isfinite(sample)))
@@ -92,7 +98,7 @@ class PaperObserver:
             valid=valid,
         )
 
-    def step(self, state: ObserverState, u: Vector, y: Vector, H: float) -> tuple[ObserverState, Estimate]:
+    def step(self, state: PaperObserverState, u: Vector, y: Vector, H: float) -> tuple[PaperObserverState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step.
 
         Raises IntegrationError where that takes more than `_MOST_SUBSTEPS`, or the estimate leaves the finite numbers.
@@ -119,7 +125,7 @@ class PaperObserver:
             w_hat = self._unknown_inputs(elapsed, held.at(H) - self.linear.C @ x_hat)
         if not (np.all(np.isfinite(x_hat)) and np.all(np.isfinite(w_hat))):
             raise IntegrationError("the observer's estimate leaves the finite numbers")
-        after = ObserverState(x_hat=x_hat, elapsed=elapsed, history=history.aged(H), u=inputs, w_hat=w_hat)
+        after = PaperObserverState(x_hat=x_hat, elapsed=elapsed, history=history.aged(H), u=inputs, w_hat=w_hat)
         return after, replace(
             start,
             x_hat=numbers(x_hat),
@@ -133,7 +139,8 @@ class PaperObserver:
         return self.linear.f_rate(self.equations.lipschitz)
 
     def _substeps(self, t: float, H: float) -> int:
-        rise = abs(self.schedule.log_pi(t + H) - self.schedule.log_pi(t))
+        log_pi = self.gains.schedule.log_pi
+        rise = abs(log_pi(t + H) - log_pi(t))
         substeps = max(1.0, H * self.fastest_f / _LARGEST_LIPSCHITZ_STEP, rise / _LARGEST_LOG_PI_STEP)
         if substeps > _MOST_SUBSTEPS:
             raise IntegrationError.report(
@@ -143,30 +150,14 @@ class PaperObserver:
 
     def _unknown_inputs(self, t: float, output_error: Array) -> Array:
         """Return ŵ (q,), eqs. (6) and (23): f(x) − f(x̂) and d where they enter apart, their sum where matched."""
-        return self._output_to_w(self.schedule.log_pi(t)) @ output_error
-
-    def _output_to_w(self, log_pi: float) -> Array:
-        return self._estimate_gain(
-            (log_pi,), lambda: np.exp(0.5 * log_pi) * orthogonal_factor(self.linear, self.table.gain(log_pi))
-        )
+        return self.gains.output_to_w(self.gains.schedule.log_pi(t)) @ output_error
 
     def _error_bar(self, t: float) -> Array:
-        """Return the noise of a sample times √π, and besides the error that W leaves of a constant |d| = D₀, (q2,)."""
-        log_pi = self.schedule.log_pi(t)
+        return self.gains.disturbance_std(self.gains.schedule.log_pi(t))
 
-        def compute() -> Array:
-            linear, L = self.linear, self.table.gain(log_pi)
-            gain = linear.selector @ self._output_to_w(log_pi)
-            constant = gain @ linear.C @ np.linalg.solve(L @ linear.C - linear.A, linear.G_d)
-            bound = np.array(self.disturbance_bound or [0.0] * len(constant))
-            noise = np.linalg.norm(gain, axis=1) * self.noise_std
-            return np.asarray(np.hypot(noise, np.abs(constant - np.eye(len(constant))) @ bound))
-
-        return self._d_std((log_pi,), compute)
-
-    def _substep(self, state: ObserverState, x_hat: Array, s: float, h: float, *, coasting: bool) -> Array:
+    def _substep(self, state: PaperObserverState, x_hat: Array, s: float, h: float, *, coasting: bool) -> Array:
         """Return x̂ at s + h after the sample. The gain at the middle is exact; its change is part of N."""
-        linear, u = self.linear, state.u.tolist()
+        linear, table, u = self.linear, self.gains.table, state.u.tolist()
         held = linear.B @ state.u
         if coasting:
             forcing = [held + linear.G @ state.w_hat] * 3
@@ -175,14 +166,14 @@ class PaperObserver:
             key: tuple[float, ...] = (h,)
         else:
             times = (0.0, 0.5 * h, h)
-            log_pis = [self.schedule.log_pi(state.elapsed + s + offset) for offset in times]
-            L = [self.table.gain(log_pi) for log_pi in log_pis]
+            log_pis = [self.gains.schedule.log_pi(state.elapsed + s + offset) for offset in times]
+            L = [table.gain(log_pi) for log_pi in log_pis]
             forcing = [held + L_t @ state.history.at(s + offset) for L_t, offset in zip(L, times, strict=True)]
             moving = log_pis[0] != log_pis[2]
             changes = [(L_t - L[1]) @ linear.C if moving else None for L_t in L]
             A_mid = linear.A - L[1] @ linear.C
             key = (h, log_pis[1])
-        step = self._coefficients(key, lambda: exponential_step(A_mid, h, self.table.coordinates))
+        step = self._coefficients(key, lambda: exponential_step(A_mid, h, table.coordinates))
 
         def N(x: Array, stage: int) -> Array:
             value = forcing[stage]
@@ -191,18 +182,7 @@ class PaperObserver:
             change = changes[stage]
             return np.asarray(value if change is None else value - change @ x)
 
-        N_start = N(x_hat, 0)
-        first = step.half @ x_hat + step.half_weight @ N_start
-        N_first = N(first, 1)
-        second = step.half @ x_hat + step.half_weight @ N_first
-        N_second = N(second, 1)
-        third = step.half @ first + step.half_weight @ (2.0 * N_second - N_start)
-        return np.asarray(
-            step.full @ x_hat
-            + step.start_weight @ N_start
-            + step.middle_weight @ (N_first + N_second)
-            + step.end_weight @ N(third, 2)
-        )
+        return step.advance(x_hat, N)
 
 
 def paper_observer(
@@ -227,10 +207,12 @@ def paper_observer(
     return PaperObserver(
         equations=equations,
         parameters=parameters,
-        linear=linear,
-        schedule=schedule,
-        table=gain_table(linear, schedule, alpha=alpha),
+        gains=ScheduledGains(
+            linear=linear,
+            schedule=schedule,
+            table=gain_table(linear, schedule, alpha=alpha),
+            noise_std=noise_std,
+            disturbance_bound=disturbance_bound,
+        ),
         hold_degree=hold_degree,
-        noise_std=noise_std,
-        disturbance_bound=disturbance_bound,
     )

@@ -32,7 +32,7 @@ from ndob_fmu.runtime.step.error_bars import disturbance_std, held_disturbance_s
 from ndob_fmu.runtime.step.gate import MOST_REJECTIONS
 from ndob_fmu.runtime.step.measurement_update import Corrected, Sample, correct, leave_out
 from ndob_fmu.runtime.step.observer import Estimate, numbers
-from ndob_fmu.runtime.step.sampled_state import CovarianceState, Numbers, SampledState
+from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, Numbers, SampledObserverState
 from ndob_fmu.runtime.step.step_plan import StepPlan, is_similar, plan_step
 from ndob_fmu.runtime.step.time_update import predict_covariance, predict_state
 
@@ -63,10 +63,10 @@ class SampledObserver:
         """Return the stationary design at a step H (s). Raises DesignError where there is none."""
         return self.designs.at(H).stationary
 
-    def init(self, x_hat: Vector) -> SampledState:
+    def init(self, x_hat: Vector) -> SampledObserverState:
         """Return the state before the first sample, from x̂₀ (n,)."""
         q = len(self.known.disturbance_bound)
-        return SampledState(
+        return SampledObserverState(
             xi_hat=(*map(float, x_hat), *(0.0,) * (HIGHEST_ORDER * q)),
             d_hat=(0.0,) * q,
             u=(0.0,) * len(self.equations.inputs),
@@ -82,7 +82,7 @@ class SampledObserver:
             ),
         )
 
-    def possible(self, state: SampledState, elapsed: float) -> bool:
+    def possible(self, state: SampledObserverState, elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
         c = state.covariance
         values = np.array([*state.xi_hat, *state.d_hat, *state.u, *c.d_std, c.tuned_at, c.waited])
@@ -99,7 +99,7 @@ class SampledObserver:
             and 0 <= c.age <= self.start.samples
         )
 
-    def estimate(self, state: SampledState, y: Vector) -> Estimate:
+    def estimate(self, state: SampledObserverState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
         sample = self._against_prediction(self._xi(state), y)
         of_state = np.linalg.norm(self.system.C @ state.covariance.factor, axis=1)
@@ -114,7 +114,9 @@ class SampledObserver:
             valid=sample.finite,
         )
 
-    def step(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
+    def step(
+        self, state: SampledObserverState, u: Vector, y: Vector, H: float
+    ) -> tuple[SampledObserverState, Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
         done = self.step_converged(state, (*map(float, u), *map(float, y)), H)
         if done is None:
@@ -133,8 +135,8 @@ class SampledObserver:
         )
 
     def step_converged(
-        self, state: SampledState, inputs: Vector, H: float
-    ) -> tuple[SampledState, tuple[float, ...], Numbers] | None:
+        self, state: SampledObserverState, inputs: Vector, H: float
+    ) -> tuple[SampledObserverState, tuple[float, ...], Numbers] | None:
         """Return what `step` does with a converged gain and a sample inside the gate, None for all else.
 
         inputs: u and y. The result is the state, the numbers of `Estimate` in their order but for x_at_sample, with
@@ -161,7 +163,7 @@ class SampledObserver:
             n, q = self._n, len(d_hat)
             d_hat = tuple(sum(map(mul, row, innovation)) for row in common.M_H)
             outputs = outputs[:n] + d_hat + d_hat + outputs[n + 2 * q :]
-        return SampledState(xi_hat, d_hat, u, innovation, common.covariance), outputs, xi_at_sample
+        return SampledObserverState(xi_hat, d_hat, u, innovation, common.covariance), outputs, xi_at_sample
 
     def _prepared(self, H: float, tuned_at: float) -> ConvergedStep | None:
         if not is_similar(H, tuned_at):
@@ -170,7 +172,9 @@ class SampledObserver:
         covariance = converged_covariance(design, tuned_at, self.start)
         return converged_step(self.equations, self.parameters, design, covariance)
 
-    def step_by_definition(self, state: SampledState, u: Vector, y: Vector, H: float) -> tuple[SampledState, Estimate]:
+    def step_by_definition(
+        self, state: SampledObserverState, u: Vector, y: Vector, H: float
+    ) -> tuple[SampledObserverState, Estimate]:
         """Do what `step` does for every state and every sample.
 
         Raises IntegrationError where the step is too long to predict over, DesignError where it has no design.
@@ -207,8 +211,8 @@ class SampledObserver:
         )
 
     def _predicted(
-        self, before: SampledState, corrected: Corrected, design: StepDesign, plan: StepPlan, H: float
-    ) -> SampledState:
+        self, before: SampledObserverState, corrected: Corrected, design: StepDesign, plan: StepPlan, H: float
+    ) -> SampledObserverState:
         """Return the state a step H (s) after the sample.
 
         Raises IntegrationError where it leaves the finite numbers.
@@ -228,7 +232,7 @@ class SampledObserver:
             d_std = held_disturbance_std(np.array(before.covariance.d_std), design, H)
         else:
             d_std = disturbance_std(factor, design)
-        return SampledState(
+        return SampledObserverState(
             xi_hat=numbers(xi_hat) + (0.0,) * (len(before.xi_hat) - len(xi_hat)),
             d_hat=numbers(xi_hat[n : n + len(d_hat)] if self.system.order else d_hat),
             u=before.u,
@@ -251,7 +255,7 @@ class SampledObserver:
         old, new = (self.designs.intensities(H).scale for H in (covariance.tuned_at, tuned_at))
         return replace(covariance, factor=covariance.factor * (new / old), converged=False)
 
-    def _xi(self, state: SampledState) -> Array:
+    def _xi(self, state: SampledObserverState) -> Array:
         """Return ξ̂⁻ (N,)."""
         return np.array(state.xi_hat[: len(self.system.A)])
 

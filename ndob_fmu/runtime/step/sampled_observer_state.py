@@ -33,7 +33,7 @@ class CovarianceState:
 
 
 @dataclass(slots=True)  # never changed once made; frozen=True would make that cost a tenth of a step
-class SampledState:
+class SampledObserverState:
     """All that the observer remembers, as of just before the next sample.
 
     xi_hat (n + 3 q2,): ξ̂⁻, and zeros for the derivatives of d̂ beyond the order r.
