@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ndob_fmu.analysis.check_report import Report, Row
+from ndob_fmu.analysis.check_report import CheckReport, CheckRow
 from ndob_fmu.analysis.direction import shortest_direction
 from ndob_fmu.analysis.lipschitz import largest_slope
 from ndob_fmu.codegen.compile_model import linear_part
@@ -28,7 +28,7 @@ LIPSCHITZ_TOLERANCE = 1e-6
 _AXIS_TOLERANCE = 1e-9  # of the larger of |z| and the plant's own rate: a zero this close to the axis is on it
 
 
-def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, float] | None = None) -> Report:
+def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, float] | None = None) -> CheckReport:
     """Check the paper's assumptions for a model.
 
     alpha: α in 1/s; None for the model's own.
@@ -55,18 +55,18 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
         _lipschitz(model, parameters),
         *_direction(model, parameters),
     )
-    return Report(model=model.name, alpha=float(chosen), rows=rows)
+    return CheckReport(model=model.name, alpha=float(chosen), rows=rows)
 
 
 def _row(
     name: str, passed: bool, requirement: str, measured: str, *, failure: str, likely: str, values: Mapping[str, Any]
-) -> Row:
+) -> CheckRow:
     if passed:
         failure = likely = ""
-    return Row(name, passed, requirement, measured, failure, likely, values)
+    return CheckRow(name, passed, requirement, measured, failure, likely, values)
 
 
-def _enough_outputs(linear: LinearPart) -> Row:
+def _enough_outputs(linear: LinearPart) -> CheckRow:
     p, q = len(linear.C), linear.G.shape[1]
     return _row(
         "outputs_at_least_unknown_inputs",
@@ -79,7 +79,7 @@ def _enough_outputs(linear: LinearPart) -> Row:
     )
 
 
-def _full_rank(name: str, requirement: str, rows: Array, labels: Sequence[str], likely: str) -> Row:
+def _full_rank(name: str, requirement: str, rows: Array, labels: Sequence[str], likely: str) -> CheckRow:
     U, sigma, _ = np.linalg.svd(rows)
     sigma = np.concatenate([sigma, np.zeros(len(rows) - len(sigma))])
     rank = int(np.sum(sigma > RANK_TOLERANCE * max(sigma[0], np.finfo(float).tiny)))
@@ -94,7 +94,9 @@ def _full_rank(name: str, requirement: str, rows: Array, labels: Sequence[str], 
     )
 
 
-def _modes_reached(name: str, requirement: str, system: Balanced, A: Array, C: Array, states: Sequence[str]) -> Row:
+def _modes_reached(
+    name: str, requirement: str, system: Balanced, A: Array, C: Array, states: Sequence[str]
+) -> CheckRow:
     """Apply the PBH test to (A, C): [A − λI; C] has full column rank at every eigenvalue λ.
 
     The test also covers the modes that the structure of (A, C) shows to be unobservable. A multiple eigenvalue of A is
@@ -121,7 +123,7 @@ def _modes_reached(name: str, requirement: str, system: Balanced, A: Array, C: A
     )
 
 
-def _relative_degrees(system: Balanced, channels: Sequence[str]) -> Row:
+def _relative_degrees(system: Balanced, channels: Sequence[str]) -> CheckRow:
     """Yield the smallest k with C A^{k−1} G_j ≠ 0 for each unknown input j; None if no output depends on it."""
     degrees: dict[str, int | None] = dict.fromkeys(channels)
     reached = system.G
@@ -133,10 +135,10 @@ def _relative_degrees(system: Balanced, channels: Sequence[str]) -> Row:
                 degrees[channel] = k
         reached = system.A @ reached
     measured = ", ".join(f"{channel}: {k or 'never seen'}" for channel, k in degrees.items())
-    return Row("relative_degree", True, "for information", measured, values=degrees)
+    return CheckRow("relative_degree", True, "for information", measured, values=degrees)
 
 
-def _zero_rows(system: Balanced, alpha: float) -> Iterator[Row]:
+def _zero_rows(system: Balanced, alpha: float) -> Iterator[CheckRow]:
     """Yield minimum_phase and alpha_below_zeros: Re z < 0 for every transmission zero, 0 < α < min(−Re z)."""
     names = ("minimum_phase", "alpha_below_zeros")
     requirements = ("Re z < 0 for every zero z of (A, G, C)", "0 < alpha < min(-Re z)")
@@ -181,10 +183,10 @@ def _zero_rows(system: Balanced, alpha: float) -> Iterator[Row]:
     )
 
 
-def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> Row:
+def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> CheckRow:
     name, requirement = "lipschitz", "slope of f in x <= gamma (eq. 3)"
     if not model.f_expressions:
-        return Row(name, True, requirement, "no nonlinearity")
+        return CheckRow(name, True, requirement, "no nonlinearity")
     slope = largest_slope(model, parameters)
     where = ", ".join(f"{name} = {value:.4g}" for name, value in slope.at.items())
     values = {"gamma": slope.value, "declared": model.lipschitz, "at": slope.at}
@@ -200,7 +202,7 @@ def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> Row:
         )
     found = f"largest slope {slope.value:.6g}" + (f" at {where}" if where else "")
     if model.lipschitz is None:
-        return Row(name, True, requirement, f"{found}; none declared", values=values)
+        return CheckRow(name, True, requirement, f"{found}; none declared", values=values)
     return _row(
         name,
         slope.value <= model.lipschitz * (1.0 + LIPSCHITZ_TOLERANCE),
@@ -212,13 +214,13 @@ def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> Row:
     )
 
 
-def _direction(model: Model, parameters: Mapping[str, float] | None) -> Iterator[Row]:
+def _direction(model: Model, parameters: Mapping[str, float] | None) -> Iterator[CheckRow]:
     """Yield how short n(x, u) becomes, relative to the bounds of its entries; nothing without a channel."""
     if not model.channel_expressions:
         return
     shortest = shortest_direction(model, parameters)
     where = ", ".join(f"{name} = {value:.4g}" for name, value in shortest.at.items())
-    yield Row(
+    yield CheckRow(
         "direction",
         True,
         "for information",

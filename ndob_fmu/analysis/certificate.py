@@ -1,21 +1,16 @@
 """Bounds of the estimate's error, for every disturbance and nonlinearity of the declared class.
 
-Theorem 3 of the paper bounds the state error of the continuous observer. From eq. (8), V = x̃ᵀ Q⁻¹ x̃ obeys
+They hold for the sampled-data observer at its own step H, channel by channel. Between samples ξ̃' = A ξ̃ + B w + G_f φ.
+|w| ≤ D bounds d's r-th derivative, and φ = f(x) − f(x̂) has ‖φ‖ ≤ γ ‖x̃_f‖ for the states x̃_f that f depends on. At a
+sample ξ̃⁺ = (I − K C) ξ̃⁻ − K v, with |v| ≤ v̄. The largest output that bounded inputs can cause is the L1 norm of the
+impulse response. If the loop gain γ ‖φ → x̃_f‖₁ is below one, the small-gain theorem bounds φ, and with it every error.
 
-    V̇ ≤ −2α V − π ‖Gᵀ Q⁻¹ x̃‖² + 2 ‖Gᵀ Q⁻¹ x̃‖ (γ ‖x̃‖ + D₀) ≤ −2α V + (γ ‖x̃‖ + D₀)² / π,
-
-so ‖x̃‖ ≤ β (γ ‖x̃‖ + D₀) in the end, with β = √(σ̄(Q) / (2απ)). The paper's last step drops the 2 and prints
-√(σ̄(Q) / (απ)): valid, but looser by √2. Either is far from the truth, as no norm of Q knows that f sees one state.
-
-What ships is a bound for the error of the sampled-data observer at its own step H, channel by channel. Between samples
-ξ̃' = A ξ̃ + B w + G_f φ, with |w| ≤ D bounding d's r-th derivative and φ = f(x) − f(x̂), ‖φ‖ ≤ γ ‖x̃_f‖ for the states
-x̃_f that f depends on; at a sample ξ̃⁺ = (I − K C) ξ̃⁻ − K v, with |v| ≤ v̄. The largest output that bounded inputs can
-make is the L1 norm of the impulse response. If the loop gain γ ‖φ → x̃_f‖₁ is below one, the loop through f is closed
-by the small-gain theorem, and every other error follows.
+docs/theory.md compares them with Theorem 3 of the paper, which bounds the state error of the continuous observer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,10 +28,12 @@ _MOST_STEPS = 1_000_000
 
 @dataclass(frozen=True)
 class Certificate:
-    """Bounds of the steady error, after the start has died away; infinite where `loop_gain` is not below one.
+    """Bounds of the error once the start has decayed; infinite where `loop_gain` is not below one.
 
-    at_sample and ahead (q2,): of |d̂ − d| for the sample and for the end of the step; states (n,): of |x̂_i − x_i| at any
-    time; loop_gain: γ times the L1 norm from f's error back to the states that f depends on.
+    loop_gain: γ times the L1 norm from f's error back to the states that f depends on.
+    at_sample (q2,): of |d̂ − d| for the sample.
+    ahead (q2,): of |d̂ − d| for the end of the step.
+    states (n,): of |x̂_i − x_i| at any time.
     """
 
     loop_gain: float
@@ -50,7 +47,7 @@ class Certificate:
         return self.loop_gain < 1.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the bounds in JSON's types; None where there is none."""
+        """Return the bounds in JSON's types, None where they are infinite."""
 
         def finite(values: Array) -> list[float] | None:
             return [float(v) for v in values] if self.exists else None
@@ -61,12 +58,6 @@ class Certificate:
             "disturbance_ahead": finite(self.ahead),
             "states": finite(self.states),
         }
-
-
-def theorem_3_bound(Q: Array, *, pi: float, alpha: float, lipschitz: float, disturbance_bound: float) -> float:
-    """Return the bound of ‖x̃‖ that Theorem 3 gives with β = √(σ̄(Q)/(2απ)); infinite where β γ ≥ 1."""
-    beta = float(np.sqrt(np.linalg.norm(Q, 2) / (2.0 * alpha * pi)))
-    return beta * disturbance_bound / (1.0 - beta * lipschitz) if beta * lipschitz < 1.0 else float("inf")
 
 
 def certify(
@@ -80,9 +71,11 @@ def certify(
 ) -> Certificate:
     """Bound the errors of a stationary design.
 
-    disturbance_rate (q2,): of |d^{(r)}|, of |ḋ| for r = 0; disturbance_bound (q2,): of |d|, which for r = 0 bounds the
-    states; lipschitz: γ; f_states: the states f depends on; sample_error: bound v̄ of the error in each sample, in the
-    outputs' units.
+    disturbance_rate (q2,): bound of |d^{(r)}|, of |ḋ| for r = 0.
+    disturbance_bound (q2,): bound of |d|; for r = 0 it decides about the errors of the states.
+    lipschitz: γ.
+    f_states: indices of the states that f depends on.
+    sample_error: bound v̄ of the error in each sample, in the outputs' units.
     """
     system = _error_system(design)
     rows = _outputs(system, design)
@@ -217,7 +210,7 @@ def _l1_of_samples(system: _ErrorSystem, rows: _Rows, p: int) -> Array:
     return np.asarray(np.sum(np.abs(rows.on_sample), axis=1) + before)
 
 
-def _summed(added: Any, on_state: Array, step: Array) -> Array:
+def _summed(added: Callable[[Array], Array], on_state: Array, step: Array) -> Array:
     """Return Σ_j added(on_state stepʲ), until a step adds next to nothing to any row's sum."""
     total = added(on_state)
     for _ in range(_MOST_STEPS):

@@ -13,10 +13,16 @@ from ndob_fmu.errors import AssumptionError
 
 
 @dataclass(frozen=True)
-class Row:
-    """One assumption: `requirement` says what must hold, `measured` what was found; the rest only where it fails.
+class CheckRow:
+    """One assumption.
 
-    `failure` names the modes, ranks or zeros at fault and `likely` the usual cause; `values` holds the numbers.
+    name: for programs.
+    passed: whether it holds.
+    requirement: what must hold.
+    measured: what was found.
+    failure: where it fails, the modes, ranks or zeros at fault.
+    likely: where it fails, the likely cause.
+    values: the numbers found.
     """
 
     name: str
@@ -29,23 +35,23 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckReport:
     """All assumptions for one model at one α (1/s), in the order in which a user should mend them."""
 
     model: str
     alpha: float
-    rows: tuple[Row, ...]
+    rows: tuple[CheckRow, ...]
 
     @property
     def passed(self) -> bool:
         """Whether every assumption holds."""
         return all(row.passed for row in self.rows)
 
-    def __getitem__(self, name: str) -> Row:
+    def __getitem__(self, name: str) -> CheckRow:
         """Return the row of that name."""
         return next(row for row in self.rows if row.name == name)
 
-    def require(self) -> Report:
+    def require(self) -> CheckReport:
         """Return the report itself. Raises AssumptionError, naming the first assumption that fails."""
         for row in self.rows:
             if not row.passed:

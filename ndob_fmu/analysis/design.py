@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ndob_fmu.analysis.assumptions import check
-from ndob_fmu.analysis.paper_design import Design, sorted_poles
+from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import sampled_data_design
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
@@ -29,7 +29,7 @@ def design(
     disturbance_bound: float | Sequence[float] | None = None,
     disturbance_rate: float | Sequence[float] | None = None,
     parameters: Mapping[str, float] | None = None,
-) -> Design:
+) -> PaperDesign:
     """Design the paper's observer; with a `step_size`, the sampled-data observer for that step as well.
 
     pi, alpha: π > 0 and α > 0 (1/s) of the paper. A given π also sets the intensity of the sampled-data observer.
@@ -92,13 +92,13 @@ def _for_each(
     return tuple(float(number) for number in numbers)
 
 
-def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> Design:
+def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> PaperDesign:
     linear = linear_part(model, parameters)
     gains = paper_gains(linear, pi=pi, alpha=alpha)
     poles = np.linalg.eigvals(linear.A - gains.L @ linear.C)
     estimate = np.sqrt(pi) * linear.selector @ gains.W
     constant = estimate @ linear.C @ np.linalg.solve(gains.L @ linear.C - linear.A, linear.G_d)
-    return Design(
+    return PaperDesign(
         model=model.name,
         disturbances=tuple(model.unknown_inputs),
         pi=float(pi),

@@ -12,12 +12,20 @@ from ndob_fmu.runtime.arrays import Array
 
 
 @dataclass(frozen=True)
-class Design:
+class PaperDesign:
     """The paper's observer at one π.
 
-    L (n,p) of eq. (7), W (q,p) of eq. (9), M (q,p) exact at DC, Q (n,n) of eq. (8)/(24), poles (n,) of A − L C in 1/s.
-    bandwidth: largest pole magnitude, rad/s. dc_gain (q2,): d̂/d for a constant d with W. noise_gain (q2,): standard
-    deviation of d̂ per standard deviation of a white error in each sample. riccati_residual: relative, ≤ 1e-8.
+    model, disturbances: their names.
+    pi, alpha: π and α (1/s).
+    L (n,p): of eq. (7).
+    W (q,p): of eq. (9).
+    M (q,p): exact at DC.
+    Q (n,n): of eqs. (8) and (24).
+    poles (n,): of A − L C, in 1/s.
+    riccati_residual: relative, ≤ 1e-8.
+    bandwidth: largest magnitude of a pole, rad/s.
+    dc_gain (q2,): d̂/d for a constant d with W.
+    noise_gain (q2,): standard deviation of d̂ per standard deviation of a white error in each sample.
     """
 
     model: str

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.analysis.certificate import Certificate, certify
-from ndob_fmu.analysis.paper_design import Design, sorted_poles, table
+from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -23,13 +23,21 @@ _STEP_LIMITS = 0.1
 
 
 @dataclass(frozen=True)
-class SampledDataDesign(Design):
+class SampledDataDesign(PaperDesign):
     """The paper's design and the sampled-data one at `step_size` H. N = n + r q2.
 
-    K (N,p): gain of the update; M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1; filter_poles (N,): of (I − K C) Φ.
-    equivalent_pi: π = s/(σ²H) of the intensity s on the first disturbance; error_bar (q2,): the steady `_std`.
-    predicted_bias and predicted_noise (q2,): error of d̂ at the sample for a constant r-th derivative at its bound, and
-    its standard deviation. certificate: bounds without noise; warnings: what to change, one sentence each.
+    step_size, disturbance_order, noise_std: H (s), r, and σ of a sample.
+    disturbance_bound, disturbance_rate (q2,): bounds of |d| and |d^{(r)}|.
+    K (N,p): gain of the update.
+    M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1.
+    filter_poles (N,): of (I − K C) Φ.
+    equivalent_pi: π = s/(σ²H) of the intensity s on the first disturbance.
+    sampled_bandwidth: up to which disturbances are followed, rad/s.
+    predicted_bias (q2,): error of d̂ at the sample for a constant r-th derivative at its bound.
+    predicted_noise (q2,): standard deviation of d̂ at the sample.
+    error_bar (q2,): `<disturbance>_std` once the gain has converged.
+    certificate: bounds of the errors without noise.
+    warnings: what to change, one sentence each.
     """
 
     step_size: float
@@ -100,7 +108,7 @@ class SampledDataDesign(Design):
 
 
 def sampled_data_design(
-    continuous: Design,
+    continuous: PaperDesign,
     model: Model,
     *,
     step_size: float,
@@ -140,7 +148,7 @@ def sampled_data_design(
     bias, noise = predicted_error(found, known.disturbance_rate)
     bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
     return SampledDataDesign(
-        **{field.name: getattr(continuous, field.name) for field in fields(Design)},
+        **{field.name: getattr(continuous, field.name) for field in fields(PaperDesign)},
         step_size=step_size,
         disturbance_order=order,
         noise_std=noise_std,

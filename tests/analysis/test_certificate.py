@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ndob_fmu.analysis.certificate import certify, theorem_3_bound
+from ndob_fmu.analysis.certificate import certify
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.gains import paper_gains
@@ -199,6 +199,12 @@ def test_where_f_can_undo_the_observer_there_is_no_bound():
     assert bound.loop_gain >= 1.0
     assert np.all(np.isinf(bound.at_sample))
     assert bound.to_dict()["disturbance_at_sample"] is None
+
+
+def theorem_3_bound(Q, *, pi, alpha, lipschitz, disturbance_bound):
+    """Return the bound of ‖x̃‖ of Theorem 3, as docs/theory.md derives it; infinite where β γ ≥ 1."""
+    beta = float(np.sqrt(np.linalg.norm(Q, 2) / (2.0 * alpha * pi)))
+    return beta * disturbance_bound / (1.0 - beta * lipschitz) if beta * lipschitz < 1.0 else float("inf")
 
 
 def test_theorem_3_gives_the_figures_of_its_derivation_and_is_looser_as_printed():
