@@ -70,3 +70,22 @@ def test_the_figures_find_circles_missing_docstrings_and_the_files_that_know_a_c
     assert "    ndob_fmu.codegen.emit: Encoder\n    ndob_fmu.model.plant: late\n" in said
     assert "component 'encoder': 1\n    ndob_fmu/codegen/emit.py\n" in said
     assert "README: 2 lines\n" in said
+
+
+def test_a_stop_is_noted_once_in_the_order_of_the_calls():
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        stops = import_module("stops").stops
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
+
+    def inner():
+        return 1
+
+    def outer():
+        return inner() + inner()
+
+    with stops(lambda frame: frame.f_code.co_name if frame.f_code.co_name in ("inner", "outer") else None) as found:
+        outer()
+    inner()
+    assert found == ["outer", "inner"]

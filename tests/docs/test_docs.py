@@ -20,6 +20,7 @@ from tests.helpers.clean_process import ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+PACKAGE = ROOT / "ndob_fmu"
 PAGES = sorted(DOCS.glob("*.md"))
 
 
@@ -145,6 +146,20 @@ def test_the_functions_in_the_table_of_equations_exist():
     assert len(named) >= 5
     for module, function in named:
         assert callable(getattr(import_module(f"ndob_fmu.{module.replace('/', '.')}"), function))
+
+
+def test_the_files_that_the_pages_name_exist():
+    """A path is meant from the repository's root or from the package."""
+    pages = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+    folders = {path.name for path in (*ROOT.iterdir(), *PACKAGE.iterdir()) if path.is_dir()} - {"build", "results"}
+    named = {
+        (page.name, path)
+        for page in pages
+        for path in re.findall(r"`([a-z_0-9/]+/[a-z_0-9]*(?:\.py|\.md|\.c|/)?)[`:]", page.read_text("utf-8"))
+        if path.split("/")[0] in folders
+    }
+    assert len(named) >= 40
+    assert [one for one in sorted(named) if not ((ROOT / one[1]).exists() or (PACKAGE / one[1]).exists())] == []
 
 
 def test_the_tolerances_in_the_pages_are_those_of_the_code():
