@@ -41,7 +41,7 @@ WAY = [
 # What every folder may import; arrows to these would hide the others.
 COMMON = ("errors", "support")
 COMMON_MODULES = ("ndob_fmu.runtime.arrays", "ndob_fmu.runtime.base_errors")
-COMPONENTS = ("encoder", "spring")  # words that name one component; "source" and "controller" have other meanings too
+COMPONENTS = ("encoder", "torsion")  # words that name one component; "source" and "controller" have other meanings too
 
 Graph = Mapping[str, Collection[str]]
 

@@ -52,7 +52,7 @@ def _longest(texts: Sequence[str], room: int) -> int:
 
 
 class DesignError(NdobError):
-    """The numbers given admit no gain that could be trusted."""
+    """No gain, or none that is accurate enough, can be computed from the given numbers."""
 
     exit_code = 1
 

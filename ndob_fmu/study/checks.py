@@ -97,7 +97,7 @@ def resolver(where: str, system: System) -> Callable[[str, Any], str]:
         with _located(f"{where}, {entry}"):
             full = str(system.port(name))
         if full not in known:
-            received = f"{full}, which is none"
+            received = f"{full}, which is not one"
             raise CouplingError.report(f"{where}, {entry}", expected="a numeric output", received=received)
         return full
 

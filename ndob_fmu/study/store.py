@@ -101,7 +101,7 @@ class Store:
         return self.finished & ~self._succeeded
 
     def save(self, rows: Sequence[dict[str, Any]]) -> None:
-        """Keep finished runs for good; raise UsageError if they cannot be written, and keep those before."""
+        """Write finished runs to the folder; raise UsageError if they cannot be written, and keep the earlier ones."""
         ordered = sorted(rows, key=lambda row: int(row[RUN]))
         columns = {name: [row.get(name) for row in ordered] for name in self._types}
         arrays = [_array(columns[name], kind) for name, kind in self._types.items()]

@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 _MOST_ITERATIONS = 100
 _MEMORY = 20  # as many signals of a linear loop are solved at once; more take more iterations
 _TOLERANCE = 1e-10  # of a value; far below what a step adds, far above rounding
-_ROUNDING = 1e-14  # of the largest value on the way, for a signal that comes to rest at zero
+_ROUNDING = 1e-14  # of the largest value on the way, for a signal that converges to zero
 
 
 def exchange(parts: Sequence[Part], bus: Array, wiring: Wiring) -> None:

@@ -1,7 +1,7 @@
 """Transmission zeros and hidden modes, found so that the units of the plant do not decide.
 
 A zero of (A, G, C) is a z at which the pencil [[A − zI, G], [C, 0]] loses column rank: an unknown input that moves the
-states as e^{zt} and leaves every output at rest. With no G these are the modes that C does not see. The infinite part
+states as e^{zt} and leaves every output at zero. Without G these are the unobservable modes. The infinite part
 of the pencil is removed by orthogonal transformations (Emami-Naeini and Van Dooren, Automatica 1982): its eigenvalues,
 perturbed by rounding, would otherwise pass for finite zeros. Tall systems (p > q) need no squaring down for that.
 """
