@@ -11,6 +11,7 @@ from benchmarks.models import carts
 from benchmarks.timing import take_turns
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
+from ndob_fmu.runtime.generated_steps import ConvergedGain
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 
 STEP = 1e-3
@@ -23,14 +24,14 @@ def generated(model):
     eq = compile_model(model)
     n, p, q = len(eq.states), len(eq.outputs), len(eq.disturbances)
     constants = eq.steps.observer_constants(model.parameter_values())
-    gate, d_std, residual_std, gain = [1.0] * p, [0.1] * q, [0.1] * p, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
+    gate, d_std, residual_std, K = [1.0] * p, [0.1] * q, [0.1] * p, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
     xi_hat, inputs = (0.0,) * (n + HIGHEST_ORDER * q), [0.1] * (len(eq.inputs) + p)
-    frozen = (*gate, *d_std, *residual_std, *gain)
-    assert eq.steps.observer_step(xi_hat, inputs, constants, frozen, STEP) is not None
+    gain = ConvergedGain(*map(tuple, (gate, d_std, residual_std, K)))
+    assert eq.steps.observer_step(xi_hat, inputs, constants, gain, STEP) is not None
 
     def steps():
         for _ in range(COUNT):
-            eq.steps.observer_step(xi_hat, inputs, constants, frozen, STEP)
+            eq.steps.observer_step(xi_hat, inputs, constants, gain, STEP)
 
     return steps
 

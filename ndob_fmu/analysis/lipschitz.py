@@ -48,7 +48,7 @@ def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -
     no slope. Raises ModelError for an unknown parameter.
     """
     begin(f"searching for the largest slope of f of {model.name}")
-    jacobian = model.jacobian
+    jacobian = model.vector_field.jacobian
     if jacobian.has(sympy.DiracDelta, sympy.Derivative, sympy.Subs):
         return Slope(np.inf, {})  # f jumps
     names = [name for name in (*model.states, *model.inputs) if model.symbols[name] in jacobian.free_symbols]
@@ -91,7 +91,7 @@ def samples(half_widths: Array) -> Array:
 def _norms(model: Model, names: list[str], parameters: tuple[float, ...]) -> Callable[[Array], Array]:
     """Return the function that maps points (N, len(names)) to spectral norms (N,), infinite where not defined."""
     values = dict(zip((model.symbols[name] for name in model.parameters), parameters, strict=True))
-    jacobian = model.jacobian
+    jacobian = model.vector_field.jacobian
     entries = sympy.lambdify(
         [[model.symbols[name] for name in names], list(values)], list(jacobian), modules="numpy", dummify=True
     )

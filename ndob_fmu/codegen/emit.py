@@ -7,19 +7,20 @@ from typing import Any
 
 import sympy
 
-from ndob_fmu.codegen.emit_step import STEP_IMPORTS, emit_steps
-from ndob_fmu.codegen.python_text import python_text, tuple_text
+from ndob_fmu.codegen.build_step import build_steps
+from ndob_fmu.codegen.print_python import IMPORTS, print_function
+from ndob_fmu.codegen.program import Function, Return, Value, assignments, element_of_each
 from ndob_fmu.model.model import Model
+from ndob_fmu.model.vector_field import VectorField
 
 _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edit."""
 
-import math
-
+{imports}
 from ndob_fmu.runtime.equations import {names}
-{step_imports}
+from ndob_fmu.runtime.generated_steps import Steps
 '''
 
-_IMPORTED = ["Equations", "Experiment", "ObserverDefaults", "SignalDefaults", "Steps"]
+_IMPORTED = ["Equations", "Experiment", "ObserverDefaults", "SignalDefaults"]
 
 # What a disturbance with a channel adds: the plant is the one with lumped inputs w, driven by w = n(x, u) d.
 _PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
@@ -32,42 +33,34 @@ def emit_python(model: Model) -> str:
 
     Raises ModelError where an expression has no Python form.
     """
-    x, u, d, p = (
-        [model.symbols[name] for name in group]
-        for group in (model.states, model.inputs, model.disturbances, model.parameters)
-    )
-    directions = list(model.channel_expressions)
-    w = list(sympy.symbols(f"_w:{len(directions)}", real=True)) if directions else d
-    f = sympy.Matrix(len(model.f_expressions), 1, list(model.f_expressions))
-    derivatives = model.A * sympy.Matrix(x) + model.G_d * sympy.Matrix(w)
-    if u:
-        derivatives += model.B * sympy.Matrix(u)
-    if model.f_expressions:
-        derivatives += model.G_f * f
+    field = model.vector_field
+    imported = ", ".join(["Channel"] * bool(field.direction) + _IMPORTED)
     parts = [
-        _HEADER.format(
-            name=model.name,
-            names=", ".join(["Channel"] * bool(directions) + _IMPORTED),
-            step_imports=STEP_IMPORTS,
-        ),
-        _function(
-            "matrices",
-            [("_p", p)],
-            [*model.A, *model.B, *model.C, *model.G_f, *model.G_d],
-            [M.shape for M in (model.A, model.B, model.C, model.G_f, model.G_d)],
-        ),
-        _function("nonlinearity", [("_x", x), ("_u", u), ("_p", p)], list(f)),
+        _HEADER.format(name=model.name, imports=IMPORTS, names=imported),
+        *map(print_function, _definitions(field)),
+        *([_PLANT_WITH_CHANNEL] if field.direction else []),
+        *map(print_function, build_steps(field)),
+        _equations(model),
     ]
-    if directions:
-        parts += [
-            _function("direction", [("_x", x), ("_u", u), ("_p", p)], directions),
-            _function("lumped_derivatives", [("_x", x), ("_u", u), ("_w", w), ("_p", p)], list(derivatives)),
-            _PLANT_WITH_CHANNEL,
-        ]
-    else:
-        parts.append(_function("derivatives", [("_x", x), ("_u", u), ("_d", d), ("_p", p)], list(derivatives)))
-    parts += [*emit_steps(model), _equations(model)]
     return "\n\n".join(parts)
+
+
+def _definitions(field: VectorField) -> list[Function]:
+    """Return the functions that `Equations` consists of besides the steps."""
+    x, u, p = ("_x", field.x), ("_u", field.u), ("_p", field.p)
+    matrices = (field.A, field.B, field.C, field.G_f, field.G_d)
+    definitions = [
+        _function("matrices", [p], [entry for matrix in matrices for entry in matrix], [M.shape for M in matrices]),
+        _function("nonlinearity", [x, u, p], field.f),
+    ]
+    if not field.direction:
+        return [*definitions, _function("derivatives", [x, u, ("_d", field.d), p], field.derivatives(field.d))]
+    w = sympy.symbols(f"_w:{len(field.direction)}", real=True)
+    return [
+        *definitions,
+        _function("direction", [x, u, p], field.direction),
+        _function("lumped_derivatives", [x, u, ("_w", w), p], field.derivatives(w)),
+    ]
 
 
 def _function(
@@ -75,29 +68,22 @@ def _function(
     arguments: Sequence[tuple[str, Sequence[sympy.Symbol]]],
     expressions: Sequence[sympy.Expr],
     shapes: Sequence[tuple[int, int]] | None = None,
-) -> str:
+) -> Function:
+    """Return the function that returns the expressions, as matrices where they have shapes."""
     temporaries = sympy.numbered_symbols("_t", real=True)
     shared, reduced = sympy.cse(list(expressions), symbols=temporaries, list=True) if expressions else ([], [])
-    used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
-    lines = [f"def {name}({', '.join(argument for argument, _ in arguments)}):"]
-    for argument, symbols in arguments:
-        for i, symbol in enumerate(symbols):
-            if symbol in used:
-                lines.append(f"    {python_text(symbol)} = {argument}[{i}]")
-    lines += [f"    {python_text(symbol)} = {python_text(expression)}" for symbol, expression in shared]
-    texts = [python_text(expression) for expression in reduced]
-    if shapes is None:
-        lines.append(f"    return {tuple_text(texts)}")
-    else:
-        matrices = []
-        for rows, columns in shapes:
-            own, texts = texts[: rows * columns], texts[rows * columns :]
-            matrices.append(tuple_text(tuple_text(own[r * columns : (r + 1) * columns]) for r in range(rows)))
-        lines.append("    return (\n" + "".join(f"        {matrix},\n" for matrix in matrices) + "    )")
-    return "\n".join(lines) + "\n"
+    read = [element for array, symbols in arguments for element in element_of_each(symbols, array, expressions)]
+    result = tuple(reduced) if shapes is None else _matrices(reduced, shapes)
+    return Function(name, tuple(array for array, _ in arguments), (*read, *assignments(shared), Return(result)))
+
+
+def _matrices(entries: Sequence[sympy.Expr], shapes: Sequence[tuple[int, int]]) -> tuple[Value, ...]:
+    following = iter(entries)
+    return tuple(tuple(tuple(next(following) for _ in range(columns)) for _ in range(rows)) for rows, columns in shapes)
 
 
 def _equations(model: Model) -> str:
+    jacobian = model.vector_field.jacobian
     fields: dict[str, Any] = {
         "name": model.name,
         "description": model.description,
@@ -114,7 +100,7 @@ def _equations(model: Model) -> str:
         "disturbance_bound": model.disturbance_bound,
         "disturbance_rate": model.disturbance_rate,
         "lipschitz": float(model.lipschitz or 0.0),
-        "f_states": tuple(j for j in range(len(model.states)) if any(entry != 0 for entry in model.jacobian.col(j))),
+        "f_states": tuple(j for j in range(len(model.states)) if any(entry != 0 for entry in jacobian.col(j))),
         "matched": model.matched,
         "observer": model.observer,
         "disturbance": model.disturbance,
@@ -122,7 +108,7 @@ def _equations(model: Model) -> str:
     }
     lines = [f"    {name}={value!r}," for name, value in fields.items()]
     lines += [f"    {name}={name}," for name in ("matrices", "nonlinearity", "derivatives")]
-    steps = ("plant_constants", "plant_step", "observer_constants", "observer_step")
+    steps = ("plant_constants", "plant_trial", "observer_constants", "observer_step")
     lines.append(f"    steps=Steps({', '.join(f'{name}={name}' for name in steps)}),")
     if model.channel_expressions:
         bounds = f"bound={model.channel_bound!r}, rate={float(model.channel_rate)!r}"

@@ -1,6 +1,6 @@
 """The work of a step as lists of assignments: scalars only, what is shared computed once, zeros left out.
 
-The assignments are SymPy's, so that any of its printers writes them; `codegen.emit_step` writes Python around them.
+`codegen.build_step` puts statements around them.
 What depends on the parameters alone is set apart, for it is computed once, and what depends on the held inputs besides,
 for that is computed once in a step.
 """

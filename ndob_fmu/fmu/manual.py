@@ -102,18 +102,14 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
 
 
 def _equations(model: Model) -> Markup:
-    x, u = (sympy.Matrix([model.symbols[name] for name in names]) for names in (model.states, model.inputs))
-    d = [sympy.Symbol(f"{name}_total", real=True) for name in model.disturbances]
-    w = [n * d[0] for n in model.channel_expressions] or d
-    rates = model.A * x + model.G_d * sympy.Matrix(w)
-    if model.inputs:
-        rates += model.B * u
-    if model.f_expressions:
-        rates += model.G_f * sympy.Matrix(model.f_expressions)
+    field = model.vector_field
+    rates = field.derivatives(
+        field.driven_by([sympy.Symbol(f"{name}_total", real=True) for name in model.disturbances])
+    )
     sides = [(f"der({state})", _rate(state), rate) for state, rate in zip(model.states, rates, strict=True)]
     sides += [
         (output, f"<mi>{output}</mi>", value)
-        for output, value in zip(model.outputs, model.C * x, strict=True)
+        for output, value in zip(model.outputs, field.outputs, strict=True)
         if output not in model.states
     ]
     printer = _Printer({"mul_symbol": "dot"})

@@ -21,6 +21,7 @@ import sympy
 
 from ndob_fmu.errors import ModelError, nearest, one_of, some_of
 from ndob_fmu.interface.model_variables import reserved_names
+from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults, lumped_names
 
 # What XML 1.0 cannot carry, not even escaped.
@@ -127,14 +128,15 @@ class Model:
         names = [*self.states, *self.inputs, *self.disturbances, *self.parameters]
         return MappingProxyType({name: sympy.Symbol(name, real=True) for name in names})
 
-    @property
-    def jacobian(self) -> sympy.Matrix:
-        """∂f/∂x, (q1, n)."""
-        return sympy.Matrix(
-            len(self.f_expressions),
-            len(self.states),
-            lambda i, j: sympy.diff(self.f_expressions[i], self.symbols[self.states[j]]),
+    @cached_property
+    def vector_field(self) -> VectorField:
+        """ẋ, y and ∂f/∂x in symbols."""
+        x, u, d, p = (
+            tuple(self.symbols[name] for name in group)
+            for group in (self.states, self.inputs, self.disturbances, self.parameters)
         )
+        matrices = {name: getattr(self, name) for name in ("A", "B", "C", "G_f", "G_d")}
+        return VectorField(x, u, d, p, **matrices, f=self.f_expressions, direction=self.channel_expressions)
 
     @property
     def disturbance_rate(self) -> tuple[float, ...]:

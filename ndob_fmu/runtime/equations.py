@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ndob_fmu.runtime.generated_steps import Steps
 from ndob_fmu.runtime.linear_part import LinearPart
 
 Vector = Sequence[float]
@@ -68,29 +69,6 @@ class Channel:
     rate: float
     direction: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
-
-
-@dataclass(frozen=True)
-class Steps:
-    """The work of a step as straight-line functions on scalars; they do what `plant` and `sampled_observer` define.
-
-    plant_constants(p) and observer_constants(p) return what the steps take as k: all that the parameters alone decide.
-    plant_step(x, u, d, k, h) tries a substep h (s), with d (6 q2,) one after another at the nodes of
-    `integrate`, and returns x after it and the norm of its error.
-    observer_step(xi_hat, inputs, k, r, H) takes a whole step with the gain at rest from ξ̂⁻ = [x̂; δ₁ … δ₃], for u (m,)
-    and a sample y (p,) one after the other; r holds the largest usual residuals (p,), the error bar of d̂ (q2,), the
-    standard deviations of residuals (p,), then K (n + 3 q2, p). It returns ξ̂⁻ after the step; the numbers of `Estimate`
-    in their order but for x_at_sample, with True, and as if d̂ were δ₁; ξ̂ after the sample; the residuals (p,); u; and
-    δ₁. It returns None where the sample is not usual, an input is not finite, or the substeps do not get to the end.
-    With a channel, its disturbances are the lumped inputs.
-    """
-
-    plant_constants: Callable[[Vector], tuple[float, ...]] = field(repr=False)
-    plant_step: Callable[[Vector, Vector, Vector, Vector, float], tuple[tuple[float, ...], float]] = field(repr=False)
-    observer_constants: Callable[[Vector], tuple[float, ...]] = field(repr=False)
-    observer_step: Callable[[Vector, Vector, Vector, Vector, float], tuple[tuple[float, ...], ...] | None] = field(
-        repr=False
-    )
 
 
 def lumped_names(disturbance: str, k: int) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ def judge(role, name):
     equations = compile_model(with_name(role, name))
     np.testing.assert_allclose(equations.derivatives(x, u, d, p), expected, rtol=1e-15, err_msg=name)
     steps = equations.steps
-    after, _ = steps.plant_step(x, u, d * 6, steps.plant_constants(p), 1e-3)
+    after, _ = steps.plant_trial(x, u, d * 6, steps.plant_constants(p), 1e-3)
     np.testing.assert_allclose(after, np.add(x, np.multiply(1e-3, expected)), atol=1e-5, err_msg=name)
 
 

@@ -232,7 +232,12 @@ def test_the_text_imports_what_an_fmu_carries_and_nothing_else(model):
             imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             imported.add(node.module)
-    assert imported == {"math", "ndob_fmu.runtime.equations", "ndob_fmu.runtime.numerics.integrate"}
+    assert imported == {
+        "math",
+        "ndob_fmu.runtime.equations",
+        "ndob_fmu.runtime.generated_steps",
+        "ndob_fmu.runtime.numerics.integrate",
+    }
 
 
 def test_what_occurs_twice_is_computed_once():

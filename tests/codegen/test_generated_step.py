@@ -215,7 +215,7 @@ def chain(n):
 def operations(n):
     """Return how many multiplications the plant's step has, and the observer's besides those by the dense gain."""
     plant, observer = (
-        emit_python(chain(n)).split(f"def {part}_step")[1].split("\n\n")[0] for part in ("plant", "observer")
+        emit_python(chain(n)).split(f"def {name}")[1].split("\n\n")[0] for name in ("plant_trial", "observer_step")
     )
     return plant.count("*"), observer.count("*") - observer.count("*_e")
 

@@ -113,7 +113,8 @@ def test_the_jacobian_of_f_agrees_with_differences(model):
     n = len(model.states)
     p = model.parameter_values()
     J = sympy.lambdify(
-        [[model.symbols[s] for s in group] for group in (model.states, model.inputs, model.parameters)], model.jacobian
+        [[model.symbols[s] for s in group] for group in (model.states, model.inputs, model.parameters)],
+        model.vector_field.jacobian,
     )
     for _ in range(5):
         x, u = random.normal(size=n), random.normal(size=len(model.inputs))

@@ -16,6 +16,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.blocks.disturbance import Generator
 from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.generated_steps import Trial
 from ndob_fmu.runtime.numerics.integrate import NODES, adapt, integrate
 
 
@@ -86,18 +87,18 @@ class Plant:
             return None
 
     def _trial(
-        self, u: Vector, d: Vector, constants: Vector, begin: float, end: float, duration: float
-    ) -> Callable[[float, Vector, float], tuple[tuple[float, ...], float]]:
+        self, u: Vector, d: Vector, constants: tuple[float, ...], begin: float, end: float, duration: float
+    ) -> Callable[[float, tuple[float, ...], float], Trial]:
         """Return the generated trial of a substep as `adapt` wants it, in the time since `begin`."""
         # As in `_derivatives` and `integrate`.
         last, last_since = nextafter(end, begin), nextafter(duration, 0.0)
-        plant_step = self.equations.steps.plant_step
+        plant_trial = self.equations.steps.plant_trial
 
-        def trial(since: float, x: Vector, h: float) -> tuple[tuple[float, ...], float]:
+        def trial(since: float, x: tuple[float, ...], h: float) -> Trial:
             total: list[float] = []
             for node in NODES:
                 total += self.disturbance(min(begin + min(since + node * h, last_since), last), d)
-            return plant_step(x, u, total, constants, h)
+            return plant_trial(x, u, total, constants, h)
 
         return trial
 

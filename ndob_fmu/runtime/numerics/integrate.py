@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from math import inf, isfinite
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,7 +17,7 @@ ABSOLUTE_TOLERANCE = 1e-12
 MOST_SUBSTEPS = 100_000
 _JUDGED_AFTER = 10_000
 # A substep that comes this near to the end of the interval goes to the end.
-ALMOST = 1.0 - 1e-12
+_ALMOST = 1.0 - 1e-12
 
 # Cash and Karp, RK5(4): nodes, weights of the stages, of the result and of its error, for six evaluations. Methods that
 # have a seventh one for the next substep waste it, since a sample corrects x before that.
@@ -64,6 +63,23 @@ def integrate(
     return adapt(trial, x, t, t_end, h)
 
 
+class Substep(NamedTuple):
+    """The substep to try, within an interval.
+
+    t: where it begins (s)
+    length: of the substep (s)
+    left: from t to the end of the interval (s); equal to `length` in the last substep
+    trials: how many substeps have been tried, this one included; 0 where the interval cannot be finished
+    planned: the length that the error allows, of which the end of the interval may cut a part (s)
+    """
+
+    t: float
+    length: float
+    left: float
+    trials: int
+    planned: float
+
+
 def adapt(
     trial: Callable[[float, X, float], tuple[X, float]], x: X, t: float, t_end: float, h: float
 ) -> tuple[X, float]:
@@ -71,39 +87,45 @@ def adapt(
 
     trial(t, x, step) returns x at t + step and the norm of its error, at most 1 where it may be accepted.
     """
-    for trials in itertools.count(1):
-        remaining = t_end - t
-        final = h >= remaining * ALMOST
-        step = remaining if final else h
+    left, trials, planned = t_end - t, 1, h
+    length = _cut(planned, left)
+    while True:
         try:
-            after, error_norm = trial(t, x, step)
+            after, error_norm = trial(t, x, length)
         except (ArithmeticError, ValueError) as error:
             raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
         if not isfinite(error_norm):
             raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
         if error_norm <= 1.0:
-            x, t = after, t + step
-            if final:
-                # A step cut short by the end of the interval says little against the longer one that was planned.
-                return x, max(h, next_substep(step, error_norm))
-        h = next_substep(step, error_norm)
-        if needs_too_many(trials, t_end - t, h):
-            break
-    raise IntegrationError(
-        f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
-        "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
-    )
+            x = after
+            if length == left:
+                # A substep cut short by the end of the interval says little against the longer one that was planned.
+                return x, max(planned, _length_after(length, error_norm))
+        t, length, left, trials, planned = next_substep(t, length, trials, error_norm, t_end)
+        if not trials:
+            raise IntegrationError(
+                f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
+                "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
+            )
 
 
-def needs_too_many(trials: int, remaining: float, h: float) -> bool:
-    """Return whether the rest of an interval takes more than the substeps allowed, after so many trials, h the next."""
-    return trials >= MOST_SUBSTEPS or (trials == _JUDGED_AFTER and remaining > MOST_SUBSTEPS * h)
+def next_substep(t: float, length: float, trials: int, error_norm: float, t_end: float) -> Substep:
+    """Return the substep to try after the one from t of this length and error; `trials` counts those until now."""
+    if error_norm <= 1.0:
+        t += length
+    left, planned = t_end - t, _length_after(length, error_norm)
+    too_many = trials >= MOST_SUBSTEPS or (trials == _JUDGED_AFTER and left > MOST_SUBSTEPS * planned)
+    hopeless = too_many or not isfinite(error_norm)
+    return Substep(t, _cut(planned, left), left, 0 if hopeless else trials + 1, planned)
 
 
-def next_substep(step: float, error_norm: float) -> float:
-    """Return the substep to try after one of this length and error."""
+def _cut(planned: float, left: float) -> float:
+    return left if planned >= left * _ALMOST else planned
+
+
+def _length_after(length: float, error_norm: float) -> float:
     grow = min(5.0, max(0.2, 0.9 * error_norm**-0.2)) if error_norm > 0.0 else 5.0
-    return step * (min(grow, 0.9) if error_norm > 1.0 else grow)
+    return length * (min(grow, 0.9) if error_norm > 1.0 else grow)
 
 
 def largest(ratios: Sequence[float]) -> float:

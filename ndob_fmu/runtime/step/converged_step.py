@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,25 +9,26 @@ import numpy as np
 from ndob_fmu.runtime.design.start_up import StartUp
 from ndob_fmu.runtime.design.step_designs import StepDesign
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
+from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers, ObserverStepFunction
 from ndob_fmu.runtime.step.error_bars import disturbance_std, residual_std
 from ndob_fmu.runtime.step.gate import gate
 from ndob_fmu.runtime.step.observer import numbers
-from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, Numbers
+from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState
 
 
 @dataclass(frozen=True)
 class ConvergedStep:
     """What all steps of one length H (s) have in common once the gain has converged.
 
-    observer_step: that of `equations.Steps`, with its arguments k = constants and r = frozen.
+    observer_step, constants, gain: the generated step, and what it takes besides the state, inputs and H.
     M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1.
     covariance: the converged one.
     """
 
     H: float
-    observer_step: Callable[[Vector, Vector, Vector, Vector, float], tuple[Numbers, ...] | None] = field(repr=False)
+    observer_step: ObserverStepFunction = field(repr=False)
     constants: Numbers = field(repr=False)
-    frozen: Numbers = field(repr=False)
+    gain: ConvergedGain = field(repr=False)
     M_H: tuple[Numbers, ...] | None
     covariance: CovarianceState
 
@@ -65,7 +65,9 @@ def converged_step(
         H=design.H,
         observer_step=equations.steps.observer_step,
         constants=constants,
-        frozen=(*largest.tolist(), *covariance.d_std, *numbers(expected), *K.ravel().tolist()),
+        gain=ConvergedGain(
+            gate=numbers(largest), d_std=covariance.d_std, residual_std=numbers(expected), K=numbers(K.ravel())
+        ),
         M_H=None if stationary.M_H is None else tuple(map(tuple, stationary.M_H.tolist())),
         covariance=covariance,
     )

@@ -26,13 +26,14 @@ from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.design.step_designs import StepDesign, StepDesigns
 from ndob_fmu.runtime.design.tuning import Knowledge
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
+from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.memo import LatestResult
 from ndob_fmu.runtime.step.converged_step import ConvergedStep, converged_covariance, converged_step
 from ndob_fmu.runtime.step.error_bars import disturbance_std, held_disturbance_std, residual_std
 from ndob_fmu.runtime.step.gate import MOST_REJECTIONS
 from ndob_fmu.runtime.step.measurement_update import Corrected, Sample, correct, leave_out
 from ndob_fmu.runtime.step.observer import Estimate, numbers
-from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, Numbers, SampledObserverState
+from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, SampledObserverState
 from ndob_fmu.runtime.step.step_plan import StepPlan, is_similar, plan_step
 from ndob_fmu.runtime.step.time_update import predict_covariance, predict_state
 
@@ -153,17 +154,21 @@ class SampledObserver:
             if common is None:
                 return None
         try:
-            done = common.observer_step(state.xi_hat, inputs, common.constants, common.frozen, H)
+            done = common.observer_step(state.xi_hat, inputs, common.constants, common.gain, H)
         except (ArithmeticError, ValueError):
             return None
         if done is None:
             return None
-        xi_hat, outputs, xi_at_sample, innovation, u, d_hat = done
+        d_hat, innovation, outputs = done.d_hat, done.innovation, done.outputs
         if common.M_H is not None:
             n, q = self._n, len(d_hat)
             d_hat = tuple(sum(map(mul, row, innovation)) for row in common.M_H)
             outputs = outputs[:n] + d_hat + d_hat + outputs[n + 2 * q :]
-        return SampledObserverState(xi_hat, d_hat, u, innovation, common.covariance), outputs, xi_at_sample
+        return (
+            SampledObserverState(done.xi_hat, d_hat, done.u, innovation, common.covariance),
+            outputs,
+            done.xi_at_sample,
+        )
 
     def _prepared(self, H: float, tuned_at: float) -> ConvergedStep | None:
         if not is_similar(H, tuned_at):

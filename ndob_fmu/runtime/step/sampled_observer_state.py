@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from ndob_fmu.runtime.arrays import Array
-
-Numbers: TypeAlias = tuple[float, ...]
+from ndob_fmu.runtime.generated_steps import Numbers
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,73 @@
+"""The steps of plant and observer as functions on scalars, written by `codegen`, and what goes in and out by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+Numbers: TypeAlias = tuple[float, ...]
+
+
+class Trial(NamedTuple):
+    """A substep that was tried: x after it (n,), and the norm of its error, at most 1 where it may be accepted."""
+
+    x: Numbers
+    error_norm: float
+
+
+@dataclass(frozen=True, slots=True)
+class ConvergedGain:
+    """What the observer's steps of one length have in common once the gain has converged.
+
+    gate: largest |e| of a sample inside the gate (p,)
+    d_std: error bar of d̂ (q2,)
+    residual_std: standard deviations of the residuals (p,)
+    K: gain ((n + 3 q2) p,), row by row
+    """
+
+    gate: Numbers
+    d_std: Numbers
+    residual_std: Numbers
+    K: Numbers
+
+
+class ObserverStep(NamedTuple):
+    """What a step of the observer returns; ξ̂ = [x̂; δ₁ δ₂ δ₃] with the derivatives δ of d̂, (n + 3 q2,).
+
+    xi_hat: ξ̂⁻ at the end of the step
+    xi_at_sample: ξ̂ after the correction by the sample
+    d_hat: δ₁ at the end of the step (q2,)
+    innovation: e (p,)
+    u: the inputs (m,)
+    outputs: the output variables of the FMU in their order, `valid` included, as if d̂ were δ₁
+    """
+
+    xi_hat: Numbers
+    xi_at_sample: Numbers
+    d_hat: Numbers
+    innovation: Numbers
+    u: Numbers
+    outputs: Numbers
+
+
+ObserverStepFunction: TypeAlias = Callable[
+    [Numbers, Sequence[float], Numbers, ConvergedGain, float], ObserverStep | None
+]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The work of a step as straight-line functions on scalars; they do what the steps `by_definition` do with NumPy.
+
+    plant_constants(p), observer_constants(p): all that the steps need of the parameters, passed on as k
+    plant_trial(x, u, d, k, h): tries a substep h (s), with d (6 q2,) one after another at the nodes of `integrate`
+    observer_step(xi_hat, inputs, k, gain, H): a whole step H (s) with the converged gain, from ξ̂⁻; inputs (m + p,) are
+        u and the sample y. None where the sample is outside the gate, an input is not finite, or the substeps do not
+        reach the end. With a channel, its disturbances are the lumped inputs.
+    """
+
+    plant_constants: Callable[[Sequence[float]], Numbers] = field(repr=False)
+    plant_trial: Callable[[Numbers, Sequence[float], Sequence[float], Numbers, float], Trial] = field(repr=False)
+    observer_constants: Callable[[Sequence[float]], Numbers] = field(repr=False)
+    observer_step: ObserverStepFunction = field(repr=False)
