@@ -1,4 +1,4 @@
-"""The time grid of a run: whole numbers of steps, so that no rounding error of the time can add up."""
+"""The time grid of a run. Time is counted in whole steps, so that rounding errors do not add up."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from ndob_fmu.errors import NdobError, UsageError
 
 _RELATIVE_TOLERANCE = 1e-9  # far above the rounding of stop/step in double precision, far below half a step
-_SAME_POINT = 1e-6  # of a step: a component says a time that it has added up itself
+_SAME_POINT = 1e-6  # of a step: a component reports a time that it has added up itself
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the master needs of a component, whether an FMU or a few lines of Python in a test."""
+"""The interface of a component to the master. An FMU implements it, and so may a class in Python."""
 
 from __future__ import annotations
 
@@ -14,15 +14,19 @@ Value: TypeAlias = float | int | bool | str
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar of a component, in FMI's words.
+    """One scalar variable of a component, in FMI's terms.
 
     causality: ``input``, ``output``, ``parameter``, ``calculatedParameter``, ``local`` or ``independent``.
-    type: ``Real``, ``Integer``, ``Enumeration``, ``Boolean`` or ``String``. unit: None where none is declared;
-    base_unit: what it means, None where that is not declared. items: (name, value) of an Enumeration's.
-    start: the value the component itself starts with, None if it declares none. settable: takes a start value.
-    variability: only between ``continuous`` Reals is there anything to extrapolate. dependencies: of an output, the
-    inputs that show in it at once when they change at a communication point; initial_dependencies: the same during
-    initialization; None where nothing is declared, which may be every input.
+    type: ``Real``, ``Integer``, ``Enumeration``, ``Boolean`` or ``String``.
+    unit: None where none is declared.
+    start: the value that the component itself starts with; None where none is declared.
+    settable: whether the variable takes a start value.
+    variability: signals are extrapolated between ``continuous`` Reals only.
+    dependencies: the inputs on which an output depends directly, at the same communication point; None where the
+        component declares nothing, so that the output may depend on every input.
+    initial_dependencies: the same during initialization.
+    base_unit: the meaning of the unit; None where it is not declared.
+    items: (name, value) of each item of an Enumeration.
     """
 
     name: str
@@ -42,8 +46,8 @@ class Variable:
 class Ended:
     """A component has ended the simulation.
 
-    time: of its last successful step, s; its outputs are those at that time.
-    reason: what it said, empty if it said nothing.
+    time: the end of its last successful step, s. Its outputs are those at that time.
+    reason: the component's message; empty if there was none.
     """
 
     time: float
@@ -62,7 +66,7 @@ class Component(Protocol):
 
     @property
     def variables(self) -> Sequence[Variable]:
-        """Every variable, known before ``setup`` and without running anything of the component."""
+        """All variables, known before ``setup`` and without running the component's code."""
         ...
 
     def setup(

@@ -1,4 +1,4 @@
-"""What a system description says about how long and how finely to simulate."""
+"""The default experiment of an FMU or a system: its times and tolerance."""
 
 from __future__ import annotations
 

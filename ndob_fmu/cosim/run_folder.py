@@ -1,4 +1,4 @@
-"""The folder of a run: the signals, what they were made from, and a figure, for people and for `ndob-fmu report`."""
+"""The folder of a run: signals, summary and figures, for people and for `ndob-fmu report`."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from ndob_fmu.support.files import atomic_folder
 def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recording:
     """Simulate, write result.csv, summary.json, signals and system into ``folder``, and return the recording.
 
-    All files are written or none. settings: those of `simulate`. Raises what that raises, after having written what was
-    recorded before a failure, and UsageError if a file cannot be written.
+    All files are written or none. settings: those of `simulate`, whose errors are passed on. After a failure the rows
+    before it are written first. Raises UsageError if a file cannot be written.
     """
     began = time.perf_counter()
     failure: FailedRunError | None = None
@@ -68,7 +68,7 @@ def draw(folder: Path, system: System | str | Path) -> None:
 
 
 def describe(system: System | str | Path, recording: Recording, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what summary.json says of how a recording came about with these settings of `simulate`.
+    """Return the entries of summary.json on how these settings of `simulate` made a recording.
 
     output_interval: only where rows are further apart than steps. connections: input → [output, factor, offset].
     step_ratios, order: only where there are any. parameters: ``component.variable`` → value of every parameter, and of

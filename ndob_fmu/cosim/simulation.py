@@ -1,4 +1,4 @@
-"""One call from a system, a package or a single FMU to the recorded signals."""
+"""The simulation of a system, a package or a single FMU in one call, which returns the recorded signals."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _with_outputs(system: System, recording: Recording) -> Recording:
 
 
 def warn(wiring: Wiring) -> None:
-    """Log what a run of this system does that its author may not expect: one line for each kind."""
+    """Log what the author of this system may not expect of a run: one line for each kind."""
     for text in wiring.system.warnings:
         _log.warning("%s", shortened(text))
     if wiring.undriven:

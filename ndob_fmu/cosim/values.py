@@ -1,4 +1,4 @@
-"""Values as people and files write them: start values in the variable's FMI type, and numbers of descriptions."""
+"""Start values in the FMI type of their variable, from what people and files write, and numbers of descriptions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a report shows, before it is a page."""
+"""The content of a report: text, tables and figures."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ class Section:
 
 @dataclass(frozen=True)
 class Content:
-    """What a page shows: a title, one sentence, the section that answers the reader's question first, a summary, the
-    other sections, and tables.
+    """The content of a page, in its order.
+
+    lead: one sentence under the title.
+    first: the section that answers the reader's main question.
     """
 
     title: str

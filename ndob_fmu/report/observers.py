@@ -1,4 +1,4 @@
-"""What a report shows of an observer: estimates with their error bars, outputs beside their predictions, residuals."""
+"""Figures of an observer: estimates with their error bars, outputs beside their predictions, residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page around the content of a report, and its one file."""
+"""The HTML page of a report, which is one file."""
 
 from __future__ import annotations
 

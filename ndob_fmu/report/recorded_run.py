@@ -1,4 +1,4 @@
-"""What a folder holds of a run: signals, inputs from a file, and how its components were coupled."""
+"""A run as its folder holds it: signals, inputs from a file, and the coupling of the components."""
 
 from __future__ import annotations
 

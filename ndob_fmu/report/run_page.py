@@ -1,4 +1,4 @@
-"""The report of one run: estimates with their error bars on top, then what they rest on, and how the run came about."""
+"""The report of one run: estimates with their error bars first, then inputs, outputs, all signals and settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals over time, thinned for a page without losing what sticks out, and the range of an axis that shows them."""
+"""Signals over time, thinned for a page so that peaks stay, and the range of an axis that shows them."""
 
 from __future__ import annotations
 

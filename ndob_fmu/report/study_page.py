@@ -1,4 +1,4 @@
-"""The report of a study: the measures over the parameters, what failed and why, and what was asked."""
+"""The report of a study: measures over the parameters, failures with their reasons, and the study's description."""
 
 from __future__ import annotations
 

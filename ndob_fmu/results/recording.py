@@ -18,10 +18,14 @@ _DTYPES = {"Integer": np.dtype(np.int64), "Enumeration": np.dtype(np.int64), "Bo
 class Recording:
     """Signals over time: row k of every array belongs to ``time[k]``.
 
-    time: (rows,) in seconds. names: one per column, ``component.variable``. columns: (rows, len(names)), all as floats.
-    types: the FMI type of each column; empty means Real throughout. units: of the columns that have one, by name.
+    time: (rows,) in seconds.
+    names: of the columns, ``component.variable``.
+    columns: (rows, len(names)), all as floats.
+    types: the FMI type of each column; empty means that all are Real.
+    units: by name, of the columns that have one.
     ended_early: which component ended the run before its stop time, when and why; empty if none did.
-    Raises UsageError if the shapes contradict.
+
+    Raises UsageError if the shapes contradict one another.
     """
 
     time: NDArray[np.float64]

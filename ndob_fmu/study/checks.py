@@ -1,4 +1,4 @@
-"""The names of a study file, checked against the system that they are about."""
+"""Checks of a study file against its system: names, times and coupling."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def resolver(where: str, system: System) -> Callable[[str, Any], str]:
 
 
 def unit_of(system: System, name: str) -> str | None:
-    """Return the unit of what a name stands for, as the FMU declares it."""
+    """Return the unit that the FMU declares for the variable of a name."""
     if name in system.outputs:
         return system.variable(system.outputs[name].port).unit
     if name in system.inputs:

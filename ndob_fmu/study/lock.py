@@ -1,4 +1,4 @@
-"""One command at a time in a results folder, by a lock of the operating system, which ends with its process."""
+"""A lock of the operating system on a results folder, for one command at a time; it ends with its process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a study keeps of a run: one number for each measure."""
+"""Measures: the numbers that a study keeps of each run."""
 
 from __future__ import annotations
 
@@ -25,11 +25,14 @@ TAKES = (*_TAKE, SETTLING_TIME)
 
 @dataclass(frozen=True)
 class Measure:
-    """One number out of a recording: ``take`` of the signal ``of``, less the signal ``minus`` if that is given.
+    """One number of a recording: ``take`` of the signal ``of``, minus the signal ``minus`` if that is given.
 
-    take: one of ``TAKES``. after: only rows from this time on, in s. ``settling_time`` is the time in s from which the
-    value stays to the end within the share ``within`` of the largest |minus|, or without minus the signal within that
-    share of its largest magnitude about its last value; infinite if it never does.
+    take: one of ``TAKES``.
+    after: only rows from this time on count, in s.
+    within: for ``settling_time``, a share of the largest |minus|, or without ``minus`` of the largest |of|.
+
+    ``settling_time`` is the time in s from which on the value stays within that share of 0, or without ``minus`` of its
+    last value; infinite if it never does.
     """
 
     of: str

@@ -1,4 +1,4 @@
-"""study.json: what a study asks for, as its results folder keeps it."""
+"""study.json: the description of a study in its results folder."""
 
 from __future__ import annotations
 

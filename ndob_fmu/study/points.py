@@ -1,4 +1,4 @@
-"""The points of a study: which values each run gets."""
+"""The points of a study: the values of each run."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Range:
-    """Where a parameter may lie: evenly between two bounds, or normally distributed about a mean.
+    """The distribution of a parameter: uniform between two bounds, or normal.
 
-    a, b: lower and upper bound; mean and standard deviation if ``normal``. log: evenly in the logarithm.
+    a, b: lower and upper bound, or mean and standard deviation if ``normal``.
+    log: uniform in the logarithm.
     """
 
     a: float

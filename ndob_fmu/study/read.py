@@ -1,4 +1,4 @@
-"""Reading a study file, and checking it against the system that it is about before anything runs."""
+"""Reading a study file. It is checked against its system before anything runs."""
 
 from __future__ import annotations
 

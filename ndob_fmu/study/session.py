@@ -1,4 +1,4 @@
-"""One system, opened once and run again and again with other values."""
+"""One system that is opened once and run many times with different values."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Session:
             row |= self._kept(self._simulate(dict(point)))
         except NdobError as error:
             row |= {FAILED: True, REASON: str(error)[:_MOST_OF_A_REASON]}
-        except Exception as error:  # whatever a run dies of concerns this run only
+        except Exception as error:  # any error of a run is the result of this run only
             row |= {FAILED: True, REASON: f"{type(error).__name__}: {error}"[:_MOST_OF_A_REASON]}
         return row | {WALL_TIME: time.perf_counter() - began}
 

@@ -1,6 +1,6 @@
 """The results folder of a study: which study it is, and the finished runs.
 
-study.json     what was asked, and its fingerprint
+study.json     the study's description and its digest
 shards/        rows of runs that finished together, each file whole or absent
 damaged/       shards that were not as written, or of another study, whose runs were done again
 """
@@ -101,7 +101,7 @@ class Store:
         return self.finished & ~self._succeeded
 
     def save(self, rows: Sequence[dict[str, Any]]) -> None:
-        """Write finished runs to the folder; raise UsageError if they cannot be written, and keep the earlier ones."""
+        """Write finished runs to the folder; raise UsageError if they cannot be written. Earlier runs stay."""
         ordered = sorted(rows, key=lambda row: int(row[RUN]))
         columns = {name: [row.get(name) for row in ordered] for name in self._types}
         arrays = [_array(columns[name], kind) for name, kind in self._types.items()]
@@ -110,7 +110,7 @@ class Store:
         self._count(table)
 
     def forget_failures(self) -> None:
-        """Have the failed runs done again; their new rows take the place of the old ones."""
+        """Count failed runs as not done; their new rows replace the old ones."""
         self.finished &= self._succeeded
 
     def _count(self, table: pa.Table) -> None:

@@ -1,4 +1,4 @@
-"""A study as a value: the system, what stays fixed, what varies, and what is kept of each run."""
+"""A study as a value: the system, fixed and varied parameters, and the results that are kept of each run."""
 
 from __future__ import annotations
 
@@ -33,13 +33,16 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Study:
-    """Many runs of one system.
+    """Many runs of one system. Run k has the start values ``points[k]``.
 
-    fixed: start values of every run by ``component.variable``. points: those that differ from run to run; the name
-    ``step_size`` is the communication step in s. measures: the numbers kept of each run, by name. record: signals whose
-    values over time are kept besides. units: of points, measures and record, by name, where there are any. files: the
-    content of the system and of the input file, by path, which is what workers on other machines get. Run k is
-    ``points[k]``.
+    system: the path of the .ssp or .fmu.
+    simulation: settings of every run.
+    fixed: start values of every run, by ``component.variable``.
+    points: start values that differ between runs; the name ``step_size`` is the communication step in s.
+    measures: the numbers that are kept of each run, by name.
+    record: signals whose values over time are kept too.
+    units: by name, of points, measures and record that have one.
+    files: the content of the system and of the input file, by path. Workers on other machines receive it.
     """
 
     name: str
@@ -53,7 +56,7 @@ class Study:
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what describes the study to a reader."""
+        """Return the description of the study in study.json."""
         return {
             "name": self.name,
             "system": Path(self.system).name,
@@ -79,7 +82,7 @@ class Study:
 
     @property
     def digest(self) -> str:
-        """A fingerprint of all that the results depend on but the versions of the software."""
+        """A digest of everything that the results depend on, except the versions of the software."""
         tables = [[table.names, table.rows] for table in self.points.tables]
         contents = [hashlib.sha256(content).hexdigest() for content in self.files.values()]
         settings = {**self.to_dict(), "name": None, "system": None, "varied": tables, "files": contents}

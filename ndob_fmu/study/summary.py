@@ -1,4 +1,4 @@
-"""What came of a study, for people and scripts: a table of the measures, the reasons of failures, the rate."""
+"""The summary of a study for people and scripts: measures, reasons of failures, runs per second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Doing the runs of a study: in batches, on whatever workers there are, each kept as soon as it is finished."""
+"""Doing the runs of a study in batches on workers. Each batch is kept as soon as it is finished."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def sweep(
     retry_failed: bool = False,
     progress: bool | None = None,
 ) -> Tally:
-    """Do all runs of the study that ``folder`` does not have yet, and return how it went.
+    """Do the runs of the study that ``folder`` does not have yet, and return their counts and times.
 
     workers: processes on this machine, None means one for each core; scheduler: the address of a running scheduler of
     dask.distributed instead, whose workers have this package installed. retry_failed: do failed runs again. progress:
@@ -101,7 +101,7 @@ def _bar(store: Store, progress: bool | None) -> Any:
 
 
 class _Crew:
-    """The workers, and what they are at: never more than a few batches, however many runs there are."""
+    """The workers and their batches: a few at a time, whatever the number of runs."""
 
     def __init__(self, client: Client, plugin: str, points: Points) -> None:
         self._client = client
@@ -120,7 +120,7 @@ class _Crew:
             for rows in self._finished():
                 yield rows
                 mean = sum(row[WALL_TIME] for row in rows) / len(rows)
-                fair = -(-len(todo) // (_AHEAD * self.threads))  # so that all are busy to the end
+                fair = -(-len(todo) // (_AHEAD * self.threads))  # so that all workers are busy until the last batch
                 size = max(1, min(_MOST_IN_A_BATCH, int(_BATCH_SECONDS / max(mean, 1e-6)), fair))
         # A worker died of a batch. One run at a time, so that only the one to blame fails.
         for run in self._suspects[:]:

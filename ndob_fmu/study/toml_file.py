@@ -1,4 +1,4 @@
-"""Reading a TOML file whose every mistake is answered with where it is and what would do there."""
+"""Reading a TOML file. A message about a mistake says where it is and what is allowed there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs on the workers of dask.distributed, and how they are reached."""
+"""The code that runs on the workers of dask.distributed, and the connection to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opening .fmu and .ssp files, which are zip archives, without trusting what they hold."""
+"""Opening .fmu and .ssp files, which are zip archives. Their content is checked and not trusted."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Archive:
         with self._reading(name):
             try:
                 return Path(self._archive.extract(name, folder))
-            except OSError as error:  # mostly of writing: a full disk must not be blamed on the archive
+            except OSError as error:  # mostly while writing: a full disk must not be blamed on the archive
                 raise UsageError.report(
                     f"unpacking {self.path.name}",
                     expected="a folder for temporary files that can be written",
@@ -148,7 +148,7 @@ def open_archive(path: Path) -> Iterator[Archive]:
 
 
 class _Bounded(io.FileIO):
-    """A file of which no more than a table of contents may need is read at once, while it is ``bounded``."""
+    """A file. While ``bounded`` is set, one read returns at most as many bytes as a table of contents may take."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)

@@ -1,4 +1,4 @@
-"""Memory shared by NumPy and an FMU, laid out once so that a step allocates nothing."""
+"""Memory that NumPy and an FMU share. It is laid out once, so that a step allocates nothing."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _KINDS: tuple[tuple[str, tuple[str, ...], Any], ...] = (
 
 
 def fmi_call(fmu: Any, name: str, *arguments: Any) -> Callable[[], None]:
-    """Return a call of an FMI function whose arguments, all objects of ctypes, are laid down once.
+    """Return a call of an FMI function with fixed arguments, all of them objects of ctypes.
 
-    fmpy's own methods look the function up and convert the arguments each time, which takes longer than many a step.
-    The call raises FMICallException as they do.
+    fmpy's own methods look the function up and convert the arguments each time, which may take longer than the step.
+    The call raises FMICallException, as fmpy's methods do.
     """
     function, component = fmu.dll[name], c_void_p(fmu.component)
 
@@ -42,8 +42,10 @@ def fmi_call(fmu: Any, name: str, *arguments: Any) -> Callable[[], None]:
 class Buffer:
     """The variables of one FMI type out of a longer list.
 
-    positions: their places in that list, (len(names),). memory: what the FMU reads and writes; view: the same memory
-    as an array, (len(names),).
+    positions: their places in that list, (len(names),).
+    references: their value references.
+    memory: where the FMU reads and writes them.
+    view: the same memory as an array, (len(names),).
     """
 
     kind: str
@@ -62,7 +64,7 @@ class Buffer:
         self._call("Set", fmu, self.memory)()
 
     def setter(self, fmu: Any, values: Array) -> Callable[[], None]:
-        """Return what hands the FMU the variables out of the longer list's values, as they are by then, in one call."""
+        """Return a function that sets the variables to the longer list's current values, in one FMI call."""
         in_place = self._in_place(values)
         if in_place is not None:
             return self._call("Set", fmu, in_place)
@@ -75,7 +77,7 @@ class Buffer:
         return set_from_values
 
     def getter(self, fmu: Any, values: Array) -> Callable[[], None]:
-        """Return what has the FMU write the variables into the longer list's values in one call; Booleans as 0 or 1."""
+        """Return a function that gets the variables into the longer list's values in one call; Booleans as 0 or 1."""
         in_place = self._in_place(values)
         if in_place is not None:
             return self._call("Get", fmu, in_place)
@@ -98,7 +100,7 @@ class Buffer:
         return fmi_call(fmu, f"fmi2{access}{self.kind}", self.references, c_size_t(len(self.names)), memory)
 
     def _in_place(self, values: Array) -> Any:
-        """Return the part of the longer list's own memory that the FMU can use, None where there is no such part."""
+        """Return the part of the longer list's memory that the FMU can use directly; None where it cannot."""
         first = int(self.positions[0])
         side_by_side = np.array_equal(self.positions, np.arange(first, first + len(self.positions)))
         usable = values.dtype == np.float64 and values.flags.c_contiguous and values.flags.writeable

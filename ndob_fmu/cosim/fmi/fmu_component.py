@@ -114,7 +114,7 @@ class FmuComponent:
     def set_inputs(self, values: Array) -> None:
         """Set the inputs announced to ``setup``, (len(inputs),), with one FMI call for each type.
 
-        Made ready for the array that comes first: another one each time costs more.
+        The calls are prepared for the array of the first call; another array makes them anew, which costs more.
         """
         if values is not self._set_from:
             self._setters = [buffer.setter(self._fmu, values) for buffer in self._inputs]
@@ -126,7 +126,7 @@ class FmuComponent:
             raise self._failure(error) from error
 
     def get_outputs(self, values: Array) -> None:
-        """Write the numeric outputs into ``values``, with one FMI call for each type; made ready as ``set_inputs``."""
+        """Write the numeric outputs into ``values``, with one FMI call for each type; prepared as in ``set_inputs``."""
         if values is not self._got_into:
             self._getters = [buffer.getter(self._fmu, values) for buffer in self._outputs]
             self._got_into = values
@@ -158,7 +158,8 @@ class FmuComponent:
     def _ended(self, time: float, step_size: float) -> Ended | None:
         """Return whether the FMU has discarded the step from ``time`` (s) because it wants to end the simulation.
 
-        FMI 2.0, section 4.2.3: fmi2Terminated says so, fmi2LastSuccessfulTime when; the outputs are those at that time.
+        FMI 2.0, section 4.2.3: fmi2Terminated says whether, fmi2LastSuccessfulTime when. The outputs are those at that
+        time.
         """
         reason = self._log.last
         try:
@@ -167,7 +168,7 @@ class FmuComponent:
         except FMICallException:  # the question is optional for FMUs
             return None
         finally:
-            self._log.last = reason  # not what the FMU says of the question
+            self._log.last = reason  # and not a message about the status calls
         last = time
         with suppress(FMICallException):
             last = float(self._fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime))
@@ -196,7 +197,7 @@ class FmuComponent:
     def kept(self) -> Iterator[None]:
         """Keep the instance from run to run until the end of the block: ``close`` resets one that has not failed.
 
-        Many short runs are then spared unpacking, loading and instantiating the FMU for each.
+        So the FMU is unpacked, loaded and instantiated once for many short runs.
         """
         self._keep = True
         try:

@@ -1,4 +1,4 @@
-"""What an FMU says through its logger: to Python's logging, and kept for the error message."""
+"""The messages of an FMU: they go to Python's logging, and the latest one into error messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ except OSError:  # fmpy ships its library for some platforms only
     _PROXY = None
 
 _log = logging.getLogger("ndob_fmu.fmu")
-# What comes with a worse status than these returns in the exception; shown twice it would only confuse.
+# A message with a worse status is part of the exception; it must not be shown twice.
 _LEVELS = {fmi2.fmi2OK: logging.DEBUG, fmi2.fmi2Warning: logging.WARNING}
 _open: dict[int, FmuLog] = {}
 

@@ -19,7 +19,7 @@ from ndob_fmu.support.units import BASE_UNITS, BaseUnit
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """What the master needs of ``modelDescription.xml``; references: value reference of each variable."""
+    """The part of ``modelDescription.xml`` that the master uses; references: value reference of each variable."""
 
     guid: str
     model_identifier: str
@@ -47,7 +47,7 @@ def read_description(path: Path) -> ModelDescription:
             model = read_model_description(file, validate=False)
     except CouplingError:
         raise
-    except Exception as error:  # fmpy raises plain Exception, and whatever its parser stumbles over
+    except Exception as error:  # fmpy raises plain Exception, and does not catch the errors of its parser
         received = str(error).partition("\n")[0] or repr(error)
         raise CouplingError.report(str(path), expected="a readable modelDescription.xml", received=received) from error
     return ModelDescription(
@@ -135,5 +135,5 @@ def _experiment(entry: Any, path: Path) -> DefaultExperiment:
         finite_number(f"{path}, {name} of DefaultExperiment", getattr(entry, name))
         for name in ("startTime", "stopTime", "stepSize", "tolerance")
     )
-    # A tolerance of zero is what some exporters write for none.
+    # Some exporters write a tolerance of zero where there is none.
     return DefaultExperiment(start, stop, step, tolerance if tolerance and tolerance > 0 else None)

@@ -1,4 +1,4 @@
-"""The exchange of values during initialization, until those at the start fit together."""
+"""The exchange of values during initialization, until they are consistent."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _log = logging.getLogger(__name__)
 _MOST_ITERATIONS = 100
 _MEMORY = 20  # as many signals of a linear loop are solved at once; more take more iterations
 _TOLERANCE = 1e-10  # of a value; far below what a step adds, far above rounding
-_ROUNDING = 1e-14  # of the largest value on the way, for a signal that converges to zero
+_ROUNDING = 1e-14  # of the signal's largest value so far, for a signal that converges to zero
 
 
 def exchange(parts: Sequence[Part], bus: Array, wiring: Wiring) -> None:
     """Carry outputs to inputs, components being in initialization mode, until nothing changes any more.
 
-    Without an algebraic loop the first sweep brings in the input file and each one settles at least one connection
-    more, so that one sweep besides shows that nothing changes. What then still changes goes around a loop, and is
-    iterated until it repeats itself; a warning names the loop if it does not.
+    Without an algebraic loop, the first sweep brings in the input file, and each sweep settles at least one more
+    connection; the last one shows that nothing changes. A value that still changes then is part of a loop, which is
+    iterated until it converges. A warning names a loop that does not.
     """
     for part in parts:
         part.send()

@@ -30,7 +30,7 @@ def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tol
     tolerance: relative, for all components; None leaves it to each of them.
 
     A component that ends the simulation ends the run. The last row is then at that time, and the other components have
-    in it the values of the communication point before. Every component is closed on the way out, whatever happens.
+    in it the values of the communication point before. Every component is closed at the end, after an error too.
     Raises UsageError for an unknown scheme or a recording that does not fit in memory, and what the components raise;
     a SimulationError carries the rows that were recorded before it.
     """

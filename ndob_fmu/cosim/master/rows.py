@@ -25,7 +25,7 @@ class Rows:
         self._ended_early = ""
 
     def take(self, values: Array) -> None:
-        """Record the next point; values: (width,)."""
+        """Record the values at the next point, (width,)."""
         self._columns[self._count] = values
         self._count += 1
 
@@ -49,7 +49,7 @@ class Rows:
         self._ended_early += f": {ended.reason}" if ended.reason else ""
         try:
             part.send()
-        except SimulationError:  # an FMU need not give values then; the rows before stay
+        except SimulationError:  # an FMU that has ended need not return values; the rows before stay
             return
         row[part.place] = part.outputs
         if ending.steps > last * self._clock.stride or not self._clock.is_point(ended.time):

@@ -14,7 +14,7 @@ from ndob_fmu.runtime.arrays import Array
 
 
 class Part:
-    """A component and the memory that its values move through; its inputs hold what the bus has before the step."""
+    """A component with the memory for its values. Its inputs hold the values that the bus has before the step."""
 
     def __init__(self, lane: Lane, bus: Array, clock: Clock) -> None:
         self.component = lane.component
@@ -59,10 +59,10 @@ class Part:
 
 
 class ExtrapolatedPart(Part):
-    """Its inputs hold what the line through their sources' last two values has in the middle of the step.
+    """Its inputs hold the value that their sources, extrapolated linearly, have in the middle of the step.
 
-    The slopes on the bus are those of the outputs per communication step: 0 before the second value, and 0 where a
-    value is not finite, so that a lost sample costs one step and not two.
+    The slopes of the outputs, per communication step, are 0 before the second value. They are 0 too where a value is
+    not finite, so that a lost sample affects one step and not two.
     """
 
     def __init__(self, lane: Lane, bus: Array, slopes: Array, clock: Clock) -> None:
@@ -91,7 +91,7 @@ class ExtrapolatedPart(Part):
         if self._has_outputs:
             np.copyto(self._before, self.outputs)
             self.component.get_outputs(self.outputs)
-            with np.errstate(invalid="ignore", over="ignore"):  # what comes of infinite values is taken out below
+            with np.errstate(invalid="ignore", over="ignore"):  # slopes of infinite values are set to 0 below
                 np.subtract(self.outputs, self._before, out=self._own_slopes)
             if self.ratio != 1:
                 self._own_slopes /= self.ratio
@@ -101,7 +101,7 @@ class ExtrapolatedPart(Part):
 
 
 class Ending(NamedTuple):
-    """A part has ended the simulation; steps: how many communication steps are whole by then."""
+    """A part has ended the simulation; steps: the number of complete communication steps before that."""
 
     part: Part
     ended: Ended
@@ -157,10 +157,10 @@ def _extrapolated(lanes: Sequence[Lane], bus: Array, clock: Clock) -> list[Part]
 class Scheme(NamedTuple):
     """How a communication step is made.
 
-    parts: lanes, bus, clock → a part for each lane.
-    advance: of parts, clock and k takes the parts to t_{k+1}; returns whether one of them has ended the simulation, and
-    leaves the bus as it is where that was before t_{k+1}.
-    in_turn: an ending may find values of t_{k+1} on the bus, of the parts that stepped before.
+    parts: (lanes, bus, clock) → a part for each lane.
+    advance: (parts, clock, k) steps the parts to t_{k+1}. It returns the ending if a part has ended the simulation; if
+        that was before t_{k+1}, the bus is left as it is.
+    in_turn: parts step one after another, so that the bus may have values of t_{k+1} when a part ends.
     """
 
     parts: Callable[[Sequence[Lane], Array, Clock], list[Part]]

@@ -1,4 +1,4 @@
-"""Checking a package without running it, step by step, as far as each step allows the next."""
+"""Checking a package without running it. After a check that fails, the later ones are skipped."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MARKS = {True: "ok  ", False: "FAIL", None: "    "}
 
 
 class _Warning(str):
-    """What a check has found and a run will warn of."""
+    """A finding that a run will log as a warning."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def check_ssp(path: str | Path, *, strict: bool = False, picture: str | Path | N
 
 
 class _Checks:
-    """The rows so far; after the first failure nothing more is tried, since it would rest on that."""
+    """The rows so far; after the first failure nothing more is checked, since it would depend on what failed."""
 
     def __init__(self) -> None:
         self.rows: list[SystemCheck] = []
@@ -120,7 +120,7 @@ def _archive(path: Path) -> tuple[bool, str]:
     with open_archive(path) as archive:
         try:
             archive.test()
-        except CouplingError as error:  # fails where the system needs the entry, and is no matter where it does not
+        except CouplingError as error:  # a later check fails if the system needs the entry
             return True, _Warning(str(error))
         return True, f"{len(archive.namelist())} entries, none outside its folder"
 

@@ -26,7 +26,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip entry can have
 
 
 def as_built(fmu: Path, values: Mapping[str, Value]) -> bytes:
-    """Return an FMU's file unchanged: its start values are said in the parameter sets of the package only."""
+    """Return an FMU's file unchanged; only the parameter sets of the package then have the start values."""
     return fmu.read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""Parameter sets and mappings: what each value of a package is for, and what it is there."""
+"""Parameter sets and mappings: which variables each value of a package sets, and to what."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Source = Callable[[Element], Element]
 
 
 class _Parameter(NamedTuple):
-    """One value of a set on its way: factor · value + offset, after the conversion of units unless that is off."""
+    """One value of a parameter set; a variable receives factor · value + offset, after a conversion of units."""
 
     where: str
     name: str
@@ -34,7 +34,7 @@ class _Parameter(NamedTuple):
 
 
 class _Target(NamedTuple):
-    """A variable that a parameter's name means, and what it receives of a value in `unit`."""
+    """A variable that a parameter sets: it receives factor · value + offset of a value in `unit`."""
 
     port: Port
     factor: float
@@ -45,10 +45,10 @@ class _Target(NamedTuple):
 def start_values(
     system: System, structure: Structure, root_system: Element, source: Source
 ) -> tuple[dict[Port, Value], dict[str, tuple[Link, ...]]]:
-    """Return the start values of a package, and what else a name in a mapping of the outermost system sets.
+    """Return the start values of a package, and the variables that a name in a mapping of the outermost system sets.
 
     A later binding replaces an earlier one, and that of a system those inside it, as SSP says. Raises CouplingError
-    for a name that means nothing, and for a value that does not fit.
+    for an unknown name, and for a value that a variable cannot take.
     """
     starts: dict[Port, Value] = {}
     mapped: dict[str, tuple[Link, ...]] = {}

@@ -30,7 +30,7 @@ from ndob_fmu.support.temporary import temporary_folder
 
 @contextmanager
 def open_ssp(path: str | Path, step_size: float | None = None) -> Iterator[tuple[System, DefaultExperiment]]:
-    """Give the system in the package and its default experiment; its FMUs lie in a temporary folder until the end.
+    """Give the system in the package and its default experiment; its FMUs are in a temporary folder until the end.
 
     step_size: the communication step (s), by default that of the experiment, of which the components' own steps are
     multiples. Components of nested systems are named ``system.component``.

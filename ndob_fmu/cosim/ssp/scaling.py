@@ -1,4 +1,4 @@
-"""The units that the files of a package define, and how a value gets from one into another."""
+"""The units that the files of a package define, and the linear transformations of their connections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nested systems made flat: which component's output gets to which input, and through which scaling on the way."""
+"""The connectors of nested systems as one graph: which output leads to which input, and with which scaling."""
 
 from __future__ import annotations
 
@@ -28,7 +28,11 @@ class Node(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """What is known of the values at a connector; kind as in SSP, type None where nothing says it."""
+    """The signal at a connector.
+
+    kind: as in SSP.
+    type: None where no description states it.
+    """
 
     kind: str
     type: str | None
@@ -45,7 +49,7 @@ class Hop(NamedTuple):
 
 
 class End(NamedTuple):
-    """Where a signal gets to, which receives factor · value + offset."""
+    """A connector that a signal leads to, which receives factor · value + offset."""
 
     node: Node
     factor: float
@@ -127,7 +131,7 @@ class Structure:
         return [node.name for node, signal in self.signals.items() if node.owner == "" and signal.kind in OUTWARDS]
 
     def ends(self, node: Node) -> list[End]:
-        """Return where a signal from `node` gets to: ports of components and outputs of the outermost system."""
+        """Return where a signal from `node` ends: ports of components and outputs of the outermost system."""
         return list(self._ends(node, self.signal(node).unit, 1.0, 0.0, ()))
 
     def _ends(self, node: Node, unit: Unit, factor: float, offset: float, trail: tuple[Node, ...]) -> Iterator[End]:
@@ -165,7 +169,7 @@ class Structure:
         return [node for node in self.hops if node not in self.drivers]
 
     def signal(self, node: Node) -> Signal:
-        """Return what is known of a connector: for a component's, what the FMU says goes before the file."""
+        """Return the signal at a connector; for a component's, the FMU's description takes precedence over the file."""
         declared = self.signals.get(node, Signal("", None, Unit()))
         if node.owner not in self.parts:
             return declared

@@ -1,4 +1,4 @@
-"""What of SSP a run honours; whatever else a file holds is refused by its name, before anything is unpacked."""
+"""The parts of SSP that a run supports. A file with any other part is refused before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ndob_fmu.errors import CouplingError, NdobError
 TYPES = {"Real", "Integer", "Boolean", "String", "Enumeration"}
 FMU_TYPE = "application/x-fmu-sharedlibrary"
 
-# Geometry says how a system is drawn. Annotations are for the tool that they name; only the steps of OSP are read.
+# Geometry says how a system is drawn. Annotations are for the tool that they name; only step sizes of OSP are read.
 _WITHOUT_EFFECT = {
     "Annotations",
     "ConnectionGeometry",
@@ -19,8 +19,8 @@ _WITHOUT_EFFECT = {
 }
 _LINEAR = {"LinearTransformation"}
 
-# For each element those inside it that are honoured; whatever is missing here is refused.
-_HONOURED = {
+# For each element, the child elements that are supported; others are refused.
+_SUPPORTED = {
     "SystemStructureDescription": {"System", "Units", "Enumerations", "DefaultExperiment"},
     "System": {"Elements", "Connections", "Connectors", "ParameterBindings", "SignalDictionaries"},
     "Elements": {"Component", "System", "SignalDictionaryReference"},
@@ -44,7 +44,7 @@ _HONOURED = {
     "DefaultExperiment": set[str](),
 }
 
-# Attributes whose values would change the meaning: (element, attribute) → the values that are honoured.
+# Attributes whose value changes the meaning: (element, attribute) → the values that are supported.
 _ATTRIBUTES = {
     ("Component", "type"): {FMU_TYPE},
     ("Component", "implementation"): {"any", "CoSimulation"},
@@ -57,25 +57,25 @@ _ATTRIBUTES = {
 
 
 def check_supported(where: str, element: Element) -> None:
-    """Raise CouplingError, naming it, for the first part of a file that a run would not honour."""
+    """Raise CouplingError, naming it, for the first part of a file that a run does not support."""
     tag = local_name(element)
     for (owner, attribute), allowed in _ATTRIBUTES.items():
         value = element.get(attribute)
         if owner == tag and value is not None and value not in allowed:
             raise _refusal(where, f"{attribute}={value!r} of {label(element)}")
-    if tag not in _HONOURED:
+    if tag not in _SUPPORTED:
         return
     for part in element.iterchildren("*"):
         name = local_name(part)
         if name in _WITHOUT_EFFECT:
             continue
-        if name not in _HONOURED[tag]:
+        if name not in _SUPPORTED[tag]:
             raise _refusal(where, f"{name} in {label(element)}")
         check_supported(where, part)
 
 
 def label(element: Element) -> str:
-    """Return what a person calls the element."""
+    """Return the element's name in messages."""
     tag = local_name(element)
     if tag == "Connection":
         ends = [

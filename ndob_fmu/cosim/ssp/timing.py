@@ -1,4 +1,4 @@
-"""How long and how finely: the default experiment, and step sizes in annotations of the Open Simulation Platform."""
+"""The default experiment of a package, and step sizes in annotations of the Open Simulation Platform."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Writing a System of FMUs as a package, in the form that libcosim, ecos, OMSimulator and fmpy read alike.
+"""Writing a System of FMUs as a package, in the form that libcosim, ecos, OMSimulator and fmpy all read.
 
-That is: every connection from component to component, conversions of units written out as transformations, one
-parameter set per component with bare names, all of one name. Only what the system shows at its boundary goes beyond.
+In this form each connection goes from component to component, conversions of units are written as transformations, and
+each component has one parameter set with plain variable names; all sets have the same name. Names at the system's
+boundary go beyond it.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def describe(
 
 
 def _with_own_starts(system: System, ports: Iterable[Port]) -> System:
-    """Return the system with start values of its FMUs said in the package: tools differ in what they make of none."""
+    """Return the system with the start values of its FMUs, which the package then states: tools differ without."""
     own = {port: system.variable(port).start for port in ports}
     return replace(system, start_values={**{p: v for p, v in own.items() if v is not None}, **system.start_values})
 
@@ -91,7 +92,7 @@ def _entries(fmus: Mapping[str, Path]) -> dict[str, str]:
 
 
 class _Writer:
-    """One description on its way to XML."""
+    """Makes the XML files of one system."""
 
     def __init__(self, system: System, name: str, parameter_set: str) -> None:
         self._system = system

@@ -18,7 +18,12 @@ from ndob_fmu.runtime.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class InputTable:
-    """Signals for the inputs ``ports``: row k of ``values``, (rows, len(ports)), holds from ``time[k]`` (s) on."""
+    """Signals for inputs over time.
+
+    ports: the inputs.
+    time: (rows,), s.
+    values: (rows, len(ports)); row k holds from ``time[k]`` on.
+    """
 
     ports: tuple[Port, ...]
     time: Array

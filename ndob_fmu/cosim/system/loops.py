@@ -1,4 +1,4 @@
-"""Algebraic loops: signals that depend on themselves at one and the same instant."""
+"""Algebraic loops: signals that depend on themselves without a delay."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from ndob_fmu.errors import some_of
 
 @dataclass(frozen=True)
 class Loop:
-    """Outputs and inputs in the order that the signal passes them, from an output on; the last drives the first.
+    """An algebraic loop.
 
-    declared: whether every component on the way says so; else one of them says nothing, and may not pass it on at once.
+    ports: outputs and inputs in the order of the signal, beginning with an output; the last drives the first.
+    declared: whether every component of the loop declares the dependency; else one of them declares nothing, and the
+        loop may not exist.
     """
 
     ports: tuple[Port, ...]

@@ -1,4 +1,4 @@
-"""Variables of components and what lies between them: a connection, a name at the system's boundary."""
+"""Ports, which are variables of components, connections between them, and links to names at the boundary."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Port(NamedTuple):
 class Connection(NamedTuple):
     """The output ``source`` drives the input ``target``, which receives factor · source + offset.
 
-    convert_units: with the source converted to the target's unit before; a System does so and puts it into factor and
-    offset.
+    convert_units: the source is converted to the target's unit first. A System does so, and puts the conversion into
+    factor and offset.
     """
 
     source: Port
@@ -35,8 +35,9 @@ class Connection(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A port behind a name at the system's boundary, where it has factor · value + offset: set by an input, shown by an
-    output.
+    """A port behind a name at the system's boundary.
+
+    The port of an input receives factor · value + offset; an output has factor · (value of the port) + offset.
     """
 
     port: Port

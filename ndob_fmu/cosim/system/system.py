@@ -18,13 +18,15 @@ from ndob_fmu.errors import CouplingError, NdobError, nearest, one_of
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Components by name (their order is the order of Gauss–Seidel), what drives what, and start values.
+    """Components, their connections and start values.
 
-    connections: (source, target), each (component, variable), or (source, target, factor, offset). start_values:
-    (component, variable) → value; that of a connected input is its value before the first exchange. step_ratios:
-    component → k for those that step over k communication steps at a time. inputs: names at the system's boundary → the
-    inputs and parameters that a start value or a column of the input file of that name sets; outputs: further names
-    that outputs are recorded under. warnings: what a run is to say of how the system was described.
+    components: by name, in the order of Gauss–Seidel.
+    connections: (source, target), each (component, variable), or (source, target, factor, offset).
+    start_values: (component, variable) → value; a connected input has it before the first exchange.
+    step_ratios: component → its step in communication steps, where that is not 1.
+    inputs: name at the boundary → the inputs and parameters that a start value or an input file sets by that name.
+    outputs: name at the boundary → the output that is recorded by that name too.
+    warnings: lines that a run logs about the system's description.
 
     ``add``, ``connect`` and ``expose`` extend the system in place and return it, so that the calls can also be chained.
     A call that raises leaves the system as it was. ``copy.copy`` makes an independent variant, and

@@ -1,4 +1,4 @@
-"""Where every input takes its value from, as index arrays computed once before the run."""
+"""Which value drives which input, as index arrays that are computed once before the run."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ from ndob_fmu.runtime.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One component's place on the bus.
+    """One component and where its values are on the bus. Arrays have one entry for each of ``inputs``.
 
-    ratio: its step in communication steps. inputs: the names that are driven during the run, and over (len(inputs),)
-    sources: their positions on the bus; factors and offsets: what is made of the value there (scaled: of any);
-    source_ratios: the step of the component that writes it; leads: how far the instant whose value it is to hold lies
-    behind the beginning of the step, both in communication steps; 1 and 0 for what is not extrapolated.
-    outputs: the stretch of the bus that the component writes.
+    ratio: the component's step in communication steps.
+    start_values: of its variables, by name.
+    inputs: the inputs that are driven during the run, by name.
+    sources: their positions on the bus.
+    factors, offsets: the input is factor · (value on the bus) + offset.
+    scaled: whether any factor is not 1 or any offset not 0.
+    source_ratios: the step of the source's component in communication steps; 1 without extrapolation.
+    leads: how far to extrapolate beyond the beginning of the step, in communication steps; 0 without extrapolation.
+    outputs: the part of the bus that the component writes.
     """
 
     name: str
@@ -43,10 +47,13 @@ class Lane:
 
 @dataclass(frozen=True, eq=False)
 class Wiring:
-    """All signals side by side on one bus: the outputs of each component in turn, then the columns of the input file.
+    """All signals on one bus: the outputs of each component in turn, then the columns of the input file.
 
-    lanes: in the order of the steps. names, types: of the outputs, the recorded part. links: the number of connections
-    between components. undriven: the inputs that keep the start values of their components.
+    lanes: in the order of the steps.
+    names, types: of the outputs, which are recorded.
+    table: the input file's columns.
+    links: the number of connections between components.
+    undriven: the inputs that keep the start values of their components.
     """
 
     system: System
@@ -105,7 +112,7 @@ def wire(
 
 
 def undriven_inputs(system: System, others: Iterable[Port] = ()) -> tuple[str, ...]:
-    """Return the inputs without a connection or a start value in the system, but for ``others``, by name."""
+    """Return the names of the inputs without a connection or a start value in the system, except ``others``."""
     driven = {*(connection.target for connection in system.connections), *system.start_values, *others}
     named = {link.port: name for name, links in system.inputs.items() for link in links}
     inputs = [
@@ -154,7 +161,7 @@ def _lane(
     component = system.components[name]
     ports = [Port(name, v.name) for v in component.variables if Port(name, v.name) in sources]
     own = [index for port, index in position.items() if port.component == name]
-    # A column of the input file is what a connection is that changes nothing.
+    # A column of the input file acts like a connection without scaling.
     links = [connected.get(port, Connection(port, port)) for port in ports]
     scaling = np.array([(link.factor, link.offset) for link in links]).reshape(-1, 2)
     extrapolated = [
@@ -184,9 +191,9 @@ def _continuous(variable: Variable) -> bool:
 
 
 def _shown_at_once(system: System, component: Component, name: str) -> set[str]:
-    """Return the inputs that an output which drives something declares to show at once.
+    """Return the inputs on which a connected output depends directly.
 
-    Such an output, got at the end of a step, is right only if the input was right there, and not in the middle.
+    Such an output, read at the end of a step, is right only if the input is extrapolated to the end of the step.
     """
     used = {connection.source.variable for connection in system.connections if connection.source.component == name}
     return {u for v in component.variables if v.name in used for u in v.dependencies or ()}
