@@ -1,7 +1,7 @@
 """What all slaves share: variables as declared, when their values are right, what is refused, and their memory.
 
 pythonfmu answers an exception by destroying the instance. So nothing that a host or a user can do by mistake raises
-here: it is logged with a status, which the FMU's front (`ndob_fmu/fmu/front/`) makes the status of the call.
+here: it is logged with a status, which the FMU's front (`ndob_fmu/fmu/compile_front.py`) makes the status of the call.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from fmus.slave_guards import (
 from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Received, Snapshot, from_bytes, to_bytes
 from fmus.slave_state_faults import same_form, state_fault
+from ndob_fmu.interface.fmi_rules import NOT_SETTABLE, SETTABLE, role
 from ndob_fmu.interface.model_variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
 
@@ -362,11 +363,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
 
     def _may_set(self, vr: int, value: Any) -> bool:
         variable = self._variables[vr]
-        if variable.causality == "output":
-            self._report(variable.name, "an input or a parameter", "an output")
-            return False
-        if self._started_with is not None and not self._initializing:
-            self._report(variable.name, "a value before the end of initialization", f"{value!r} after it")
+        if self._mode() not in SETTABLE[role(variable)]:
+            self._report(variable.name, *NOT_SETTABLE[role(variable)])
             return False
         self._refused.pop(vr, None)
         fault = parameter_fault(variable, value)
@@ -375,6 +373,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc] # pythonfmu carries no type inform
             self._refused[vr] = str(fault)
             self._say(fault)
         return True
+
+    def _mode(self) -> str:
+        """Return FMI's name of the present mode; the slave does not learn of the end."""
+        if self._initializing:
+            return "initialization"
+        return "instantiated" if self._started_with is None else "stepping"
 
     def _report(self, where: str, expected: str, received: str) -> None:
         self._say(NdobError.report(where, expected=expected, received=received))

@@ -1,8 +1,9 @@
 """The front of an FMU: a small C library between a host and pythonfmu's binary, for Linux and for Windows.
 
-It lies where the host looks for the FMU's binary, pythonfmu's own beside it, and its sources in `front/`. The build
-compiles it: for Linux with the system's compiler, for Windows with a MinGW cross compiler. Without the compiler of a
-platform the FMU keeps pythonfmu's binary there, and what the front does is lost.
+It lies where the host looks for the FMU's binary, pythonfmu's own beside it. Its sources are `shell/`, FMI's functions
+and rules, and `python_core/`, which runs the slave. The build compiles them: for Linux with the system's compiler, for
+Windows with a MinGW cross compiler. Without the compiler of a platform the FMU keeps pythonfmu's binary there, and what
+the front does is lost.
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ import fmpy
 import numpy as np
 
 from ndob_fmu.fmu.fmu_description import FmuDescription
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.fmu.rules_header import NAME, ROLE_LETTERS, rules_header
+from ndob_fmu.interface.fmi_rules import role
 from ndob_fmu.support.temporary import temporary_folder
 
 _log = logging.getLogger(__name__)
 
-SOURCES = Path(__file__).parent / "front"
+SOURCES = Path(__file__).parent
+FOLDERS = ("shell", "python_core")
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 DESCRIPTION = "resources/front.txt"
 # No path, no time and no name of this machine goes into a binary; -s drops the names of temporary files.
@@ -123,15 +126,9 @@ def description(fmu: FmuDescription, guid: str, contents: Mapping[str, bytes]) -
         f"entry={contents['resources/slavemodule.txt'].decode().strip()}",
         f"files={'|'.join(sorted(files))}",
     ]
-    lines += [f"variable={_TYPES[v.type]}{_role(v)} {v.name}" for v in fmu.variables]
+    lines += [f"variable={_TYPES[v.type]}{ROLE_LETTERS[role(v)]} {v.name}" for v in fmu.variables]
     lines.append(f"variables={len(fmu.variables)}")
     return "\n".join(lines) + "\n"
-
-
-def _role(variable: Variable) -> str:
-    if variable.causality == "parameter":
-        return "t" if variable.variability == "tunable" else "f"
-    return "i" if variable.causality == "input" else "o"
 
 
 def building_python() -> dict[str, str]:
@@ -147,13 +144,26 @@ def building_python() -> dict[str, str]:
     }
 
 
+def sources(target: Platform = LINUX) -> list[str]:
+    """Return the C files of a platform, by their path in `SOURCES`."""
+    files = [path for folder in FOLDERS for path in sorted((SOURCES / folder).glob("*.c"))]
+    return [path.relative_to(SOURCES).as_posix() for path in files if not path.name.endswith(target.other)]
+
+
+def write_rules(folder: Path) -> Path:
+    """Write the header with FMI's rules, which the sources include, into the folder and return the folder."""
+    (folder / NAME).write_text(rules_header(), "utf-8")
+    return folder
+
+
 def compiled(target: Platform = LINUX) -> bytes | None:
     """Return the front's binary, compiled once per process; None, with a warning, if that cannot be done."""
-    return _compiled(target, os.environ.get(target.variable, ""))
+    return compiled_with(target, os.environ.get(target.variable, ""))
 
 
 @functools.cache
-def _compiled(target: Platform, wish: str) -> bytes | None:
+def compiled_with(target: Platform, wish: str) -> bytes | None:
+    """Return the front's binary, made by the compiler command `wish`, or by the first one found where that is empty."""
     compiler = shlex.split(wish) or [name for name in target.compilers if shutil.which(name)][:1]
     if not compiler or not shutil.which(compiler[0]):
         tried = f"{target.variable}={wish}, which is not here" if wish else f"none of {', '.join(target.compilers)}"
@@ -161,8 +171,8 @@ def _compiled(target: Platform, wish: str) -> bytes | None:
         return None
     with temporary_folder() as work:
         binary = Path(work, f"front{target.suffix}")
-        sources = sorted(path.name for path in SOURCES.glob("*.c") if not path.name.endswith(target.other))
-        command = [*compiler, *_FLAGS, *target.flags, f"-ffile-prefix-map={SOURCES}=.", "-I", str(HEADERS), *sources]
+        include = ["-I", str(HEADERS), "-I", str(write_rules(Path(work)))]
+        command = [*compiler, *_FLAGS, *target.flags, f"-ffile-prefix-map={SOURCES}=.", *include, *sources(target)]
         done = subprocess.run(
             [*command, "-o", str(binary), *target.libraries],
             cwd=SOURCES,

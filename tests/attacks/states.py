@@ -22,7 +22,7 @@ from tests.helpers.component_settings import moved
 from ..fuzz.library import DISCARD, ERROR, OK, WARNING, Library
 from .apart import main
 
-# What ndob_fmu/fmu/front/state.c writes before the slave's bytes: magic, FMU, size, hash, mode, experiment, time.
+# What ndob_fmu/fmu/shell/state.c writes before the slave's bytes: magic, FMU, size, hash, mode, experiment, time.
 HEAD = struct.Struct("<8s3Q2Id")
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED = 1, 2, 4, 8
 H = 1e-3

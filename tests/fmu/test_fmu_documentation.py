@@ -254,7 +254,7 @@ def test_the_licences_are_those_of_what_is_inside(files):
 
 def test_what_the_host_needs_is_said_as_it_is_looked_for(files):
     text = files["documentation/externalDependencies.txt"].decode()
-    sources = (ROOT / "ndob_fmu" / "fmu" / "front").glob("*.[ch]")
+    sources = (ROOT / "ndob_fmu" / "fmu" / "python_core").glob("*.[ch]")
     looked_for = "".join(path.read_text("utf-8") for path in sources)
     (variable,) = re.findall(r'#define VARIABLE "(\w+)"', looked_for)
     (minor,) = re.findall(r"#define OLDEST_MINOR (\d+)", looked_for)

@@ -30,7 +30,7 @@ from tests.helpers.fmi_instance import DISCARD, ERROR, OK, opened, unpacked
 from tests.helpers.problems import MODELS
 
 H = 1e-3
-# What ndob_fmu/fmu/front/state.c writes before the slave's bytes: magic, FMU, size, hash, mode, experiment, time.
+# What ndob_fmu/fmu/shell/state.c writes before the slave's bytes: magic, FMU, size, hash, mode, experiment, time.
 HEAD_FIELDS = struct.Struct("<8sQQQIId")
 HEAD = HEAD_FIELDS.size
 PAPER = {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.02}

@@ -29,9 +29,9 @@ pytestmark = FRONT
 @pytest.fixture
 def fresh_compiler(monkeypatch):
     """Forget what was compiled in this process, and afterwards what this test made."""
-    front._compiled.cache_clear()
+    front.compiled_with.cache_clear()
     yield monkeypatch
-    front._compiled.cache_clear()
+    front.compiled_with.cache_clear()
 
 
 def stock_binary():
@@ -44,19 +44,16 @@ COMPILERS = [name for name in (os.environ.get("CC"), "gcc", "clang") if name and
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-def test_the_sources_compile_without_a_warning(compiler):
+def test_the_sources_compile_without_a_warning(compiler, tmp_path):
     command = [*shlex.split(compiler), "-std=gnu11", "-O2", "-fsyntax-only", "-Wall", "-Wextra", "-Werror"]
     done = subprocess.run(
-        [*command, "-I", str(front.HEADERS), *map(str, sources(front.LINUX))],
+        [*command, "-I", str(front.HEADERS), "-I", str(front.write_rules(tmp_path)), *front.sources()],
+        cwd=front.SOURCES,
         capture_output=True,
         text=True,
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def sources(platform):
-    return [path for path in sorted(front.SOURCES.glob("*.c")) if not path.name.endswith(platform.other)]
 
 
 # Each range that the rules of UTF-8 tell apart, by its first and last bytes.
@@ -66,9 +63,11 @@ BYTES = bytes.fromhex("01 41 7f 80 8f 90 9f a0 bf c0 c1 c2 df e0 e1 ec ed ee ef 
 @pytest.fixture(scope="module")
 def is_utf8(tmp_path_factory):
     """The front's own function, from bytes without NUL to bool."""
-    library = tmp_path_factory.mktemp("utf8") / "utf8.so"
-    command = [*shlex.split(os.environ.get("CC", "cc")), "-std=gnu11", "-O2", "-shared", "-fPIC", "-I"]
-    subprocess.run([*command, front.HEADERS, front.SOURCES / "utf8.c", "-o", library], check=True)
+    folder = tmp_path_factory.mktemp("utf8")
+    library = folder / "utf8.so"
+    command = [*shlex.split(os.environ.get("CC", "cc")), "-std=gnu11", "-O2", "-shared", "-fPIC"]
+    command += ["-I", front.HEADERS, "-I", front.write_rules(folder)]
+    subprocess.run([*command, front.SOURCES / "shell" / "utf8.c", "-o", library], check=True)
     function = ctypes.CDLL(str(library)).is_utf8
     function.restype = ctypes.c_bool
     return function
@@ -113,10 +112,11 @@ assert library.fmi2Instantiate(b"one", 1, sys.argv[2].encode(), location, callba
 def test_sources_in_another_folder_and_another_temporary_folder_give_the_same_bytes(fresh_compiler, tmp_path):
     before = front.compiled()
     moved = tmp_path / "some where else"
-    shutil.copytree(front.SOURCES, moved)
+    for folder in front.FOLDERS:
+        shutil.copytree(front.SOURCES / folder, moved / folder)
     headers = tmp_path / "headers"
     shutil.copytree(front.HEADERS, headers)
-    front._compiled.cache_clear()
+    front.compiled_with.cache_clear()
     fresh_compiler.setattr(front, "SOURCES", moved)
     fresh_compiler.setattr(front, "HEADERS", headers)
     fresh_compiler.setattr("tempfile.tempdir", str(tmp_path))

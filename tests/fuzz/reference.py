@@ -2,6 +2,9 @@
 
 A prediction is one status where values are of an engineer's size, and a set of them where numbers are so wild that the
 numerics may fail: there the model goes on with the status that came.
+
+It is written from FMI's text and on purpose imports no rule of the package: a wrong entry in
+`ndob_fmu/interface/fmi_rules.py` shows here. `tests/fmu/test_fmi_rules.py` checks the FMUs against that table.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 /* UTF-8 as Python's strict decoder takes it (RFC 3629): no overlong forms, no surrogates, nothing above U+10FFFF. */
-#include "front.h"
+#include "shell.h"
 
 size_t character(const char *text) {
     const unsigned char *c = (const unsigned char *)text;

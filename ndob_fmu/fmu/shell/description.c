@@ -1,5 +1,5 @@
-/* The resource location, and what the build has written there for the front: front.txt. */
-#include "front.h"
+/* The resource location, and front.txt in it, which the build writes for this library. */
+#include "shell.h"
 
 #include <ctype.h>
 #include <errno.h>
@@ -9,7 +9,7 @@
 #include <string.h>
 #include <strings.h>
 
-static char *joined(const char *folder, const char *name) {
+char *path_in(const char *folder, const char *name) {
     char *path = malloc(strlen(folder) + strlen(name) + 2);
     if (path) sprintf(path, "%s/%s", folder, name);
     return path;
@@ -41,7 +41,7 @@ static void decode_percent(char *text) {
 }
 
 static char *folder_with_description(const char *path) {
-    char *file = joined(path, "front.txt");
+    char *file = path_in(path, "front.txt");
     char *folder = file && can_read(file) ? real_folder(path) : NULL;
     free(file);
     return folder;
@@ -70,7 +70,7 @@ char *resources_folder(const char *location, char *reason, size_t size) {
     return folder;
 }
 
-static char *whole_file(const char *path) {
+char *file_text(const char *path) {
     FILE *file = file_open(path);
     if (!file) return NULL;
     size_t used = 0, room = 1 << 14;
@@ -98,56 +98,51 @@ static bool add_variable(Description *description, size_t *room, const char *val
     return true;
 }
 
-/* Return whether the files (apart by |) can be read and pythonfmu is told to run the entry; else give the reason. What it
- * does not find there it does not survive. */
-static bool complete(const char *folder, char *files, const char *entry, char *reason, size_t size) {
-    for (char *name; (name = strsep(&files, "|"));) {
-        char *path = joined(folder, name);
+/* Return whether the files (apart by |) can be read; else give the reason. */
+static bool complete(const char *folder, const char *files, char *reason, size_t size) {
+    char *names = strdup(files), *rest = names;
+    for (char *name; names && (name = strsep(&rest, "|"));) {
+        char *path = path_in(folder, name);
         bool there = path && can_read(path);
         free(path);
         if (there) continue;
         snprintf(reason, size, "%s: expected the file %s of the build, received none that can be read", folder, name);
+        free(names);
         return false;
     }
-    char *path = joined(folder, "slavemodule.txt");
-    char *named = path ? whole_file(path) : NULL;
-    free(path);
-    if (named) named[strcspn(named, "\r\n")] = '\0';
-    bool right = named && strcmp(named, entry) == 0;
-    if (!right)
-        snprintf(reason, size, "%s/slavemodule.txt: expected %s, received %.60s", folder, entry,
-                 named ? named : "what cannot be read");
-    free(named);
-    return right;
+    free(names);
+    return names != NULL;
+}
+
+const char *description_value(const Description *description, const char *key) {
+    for (size_t i = 0; i < description->setting_count; i++)
+        if (strcmp(description->settings[i].key, key) == 0) return description->settings[i].value;
+    return "";
 }
 
 bool description_read(Description *description, const char *folder, char *reason, size_t size) {
-    *description = (Description){.guid = "", .executable = "", .library = "", .packages = ""};
-    char *path = joined(folder, "front.txt");
-    description->text = path ? whole_file(path) : NULL;
+    *description = (Description){.guid = ""};
+    char *path = path_in(folder, "front.txt");
+    description->text = path ? file_text(path) : NULL;
     bool good = description->text != NULL, whole = false;
-    char *files = "", *entry = "";
     size_t room = 0;
     char *rest = description->text;
     for (char *line; good && (line = strsep(&rest, "\n"));) {
         char *value = strchr(line, '=');
         if (!value) continue;
         *value++ = '\0';
-        if (strcmp(line, "guid") == 0) description->guid = value;
-        else if (strcmp(line, "python") == 0) description->executable = value;
-        else if (strcmp(line, "libpython") == 0) description->library = value;
-        else if (strcmp(line, "packages") == 0) description->packages = value;
-        else if (strcmp(line, "entry") == 0) entry = value;
-        else if (strcmp(line, "files") == 0) files = value;
-        else if (strcmp(line, "variable") == 0) good = add_variable(description, &room, value);
+        if (strcmp(line, "variable") == 0) good = add_variable(description, &room, value);
         else if (strcmp(line, "variables") == 0) whole = strtoul(value, NULL, 10) == description->count;
+        else if (description->setting_count == MOST_SETTINGS) good = false;
+        else description->settings[description->setting_count++] = (Setting){line, value};
     }
+    description->guid = description_value(description, "guid");
     if (good && !(*description->guid && whole)) good = false;
     if (!good) {
         snprintf(reason, size, "%s: expected the file that the build wrote, received one that cannot be read",
                  path ? path : "front.txt");
     }
-    good = good && complete(folder, files, entry, reason, size);
+    good = good && complete(folder, description_value(description, "files"), reason, size);
     if (!good) description_free(description);
     free(path);
     return good;

@@ -4,11 +4,10 @@
  * pythonfmu's binary needs python3.dll, which passes its calls on to python3<minor>.dll beside it. A library of that
  * name that is loaded already serves. */
 #include "interpreters.h"
-#include "windows_text.h"
+#include "../shell/windows_text.h"
 
 #include <stdlib.h>
 #include <string.h>
-#include <windows.h>
 
 #define NEWEST_MINOR 40
 #define FORWARDER "python3.dll"
@@ -23,6 +22,7 @@ bool python_was_started_by_an_fmu(void) { return started_by_us; }
 void python_entered(void) {}
 void python_left(void) {}
 bool python_is_orphaned(void) { return false; }
+bool python_after_fork(void) { return true; }
 
 /* Calls make a thread state of their own each time, as pythonfmu's binary does where none is kept. */
 void python_keep_thread(void) {}
@@ -139,8 +139,9 @@ static bool find(const Description *description, Reasons *reasons, char *warning
     if (named && !good) snprintf(warning, warning_size, VARIABLE " is passed over: %s", reasons->text);
     free(named);
     if (good || present()) return good;
-    if (*description->executable && can_read(description->executable)) {
-        if (take(description->executable, description->packages, reasons)) return true;
+    const char *executable = description_value(description, "python");
+    if (*executable && can_read(executable)) {
+        if (take(executable, description_value(description, "packages"), reasons)) return true;
         if (present()) return false;
     }
     char folder[PATH_MAX];
@@ -171,3 +172,9 @@ bool python_start(const Description *description, char *reason, size_t size, cha
     if (!python_alive()) return add_reason(&reasons, "the process's Python has ended"), false;
     return true;
 }
+
+/* Ctrl-C comes in a thread of its own on Windows, and Python notes it there. */
+void interrupts_hold_back(void) {}
+void interrupts_give_back(void) {}
+void interrupts_begin(void) {}
+void interrupts_end(void) {}

@@ -139,7 +139,8 @@ bool candidate_from_variable(Candidate *candidate, Reasons *reasons) {
 }
 
 bool candidate_from_build(Candidate *candidate, const Description *description, Reasons *reasons) {
-    const char *parts[] = {description->executable, description->library, description->packages};
+    const char *parts[] = {description_value(description, "python"), description_value(description, "libpython"),
+                           description_value(description, "packages")};
     for (size_t i = 0; i < 3; i++) {
         char path[PATH_MAX];
         snprintf(path, sizeof path, i == 2 ? "%s/numpy/__init__.py" : "%s", parts[i]);
@@ -148,9 +149,9 @@ bool candidate_from_build(Candidate *candidate, const Description *description, 
             return false;
         }
     }
-    set(candidate->executable, description->executable);
-    set(candidate->library, description->library);
-    set(candidate->packages, description->packages);
+    set(candidate->executable, parts[0]);
+    set(candidate->library, parts[1]);
+    set(candidate->packages, parts[2]);
     return true;
 }
 

@@ -1,8 +1,8 @@
 /* Between python.c, which starts a Python and calls it, and what finds one on each system. */
-#ifndef NDOB_FRONT_INTERPRETERS_H
-#define NDOB_FRONT_INTERPRETERS_H
+#ifndef NDOB_INTERPRETERS_H
+#define NDOB_INTERPRETERS_H
 
-#include "front.h"
+#include "python.h"
 
 #include <limits.h>
 #include <sys/types.h>
@@ -65,6 +65,9 @@ typedef struct {
 } Reasons;
 
 __attribute__((format(printf, 2, 3))) void add_reason(Reasons *reasons, const char *format, ...);
+
+void *library_symbol(void *library, const char *name);
+void library_close(void *library);
 
 /* Start the Python of an open libpython if it does not run, and import NumPy; else give the reasons. */
 bool python_use(void *library, const Candidate *candidate, Reasons *reasons);

@@ -1,6 +1,6 @@
-/* FMU states: the slave's, and with it the mode and time that the front keeps; as bytes with a head that tells a
+/* FMU states: the core's, with the mode and time that the shell keeps; as bytes with a head that tells a
  * damaged state and another FMU's. */
-#include "front.h"
+#include "core.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -12,21 +12,21 @@ struct State {
     Instance *owner;
     State *next, **place; /* in the owner's list, and the pointer to this one there */
     unsigned users; /* the host counts as one until it frees the state */
-    fmi2FMUstate slave;
+    fmi2FMUstate core;
     Progress progress;
 };
 
 typedef struct {
     char magic[8];
     uint64_t fmu; /* hash of the GUID */
-    uint64_t size; /* of the slave's bytes, which follow */
+    uint64_t size; /* of the core's bytes, which follow */
     uint64_t hash; /* of everything after this member */
     Progress progress;
 } Head;
 
 static const char MAGIC[8] = "NDOBST1";
 static Handles states;
-static Lock lock = UNLOCKED; /* of users, owners and their lists; not held in the slave */
+static Lock lock = UNLOCKED; /* of users, owners and their lists; not held in the core */
 
 static uint64_t hashed(const void *data, size_t size, uint64_t hash) {
     for (const unsigned char *byte = data; size; size--, byte++) hash = (hash ^ *byte) * 0x100000001b3u; /* FNV-1a */
@@ -42,7 +42,7 @@ static uint64_t content_hash(const Progress *progress, const void *bytes, size_t
     return hashed(bytes, size, hashed(progress, sizeof *progress, HASH_START));
 }
 
-/* Return the state behind the handle, in use until it is dropped; NULL, with a message, if it is none. */
+/* Return the state behind the handle, in use until it is dropped; NULL, with a message, if the handle is invalid. */
 static State *taken(Instance *self, const char *function, fmi2FMUstate handle) {
     lock_acquire(&lock);
     Slot *slot = handle_slot(&states, handle);
@@ -61,7 +61,7 @@ static void drop(Instance *self, State *state) {
     bool last = --state->users == 0;
     lock_release(&lock);
     if (!last) return;
-    if (self->progress.mode != ORPHANED) slave.FreeFMUstate(self->slave, &state->slave);
+    if (self->progress.mode != ORPHANED) core.FreeFMUstate(self->core, &state->core);
     free(state);
 }
 
@@ -72,7 +72,6 @@ static void own(State *state) {
     if (state->next) state->next->place = &state->next;
     *state->place = state;
 }
-
 
 static void disown(State *state) {
     *state->place = state->next;
@@ -101,11 +100,11 @@ void states_free(Instance *self) {
     }
 }
 
-/* Give the host a handle of a slave's state, in place of the one that `handle` may hold already. */
+/* Give the host a handle of a core's state, in place of the one that `handle` may hold already. */
 static bool keep(Instance *self, fmi2FMUstate *handle, fmi2FMUstate made, Progress progress) {
     State *state = calloc(1, sizeof *state), *before = NULL;
     if (state) {
-        *state = (State){.owner = self, .users = 1, .slave = made, .progress = progress};
+        *state = (State){.owner = self, .users = 1, .core = made, .progress = progress};
         lock_acquire(&lock);
         state->slot = handle_slot(&states, *handle);
         if (state->slot) {
@@ -124,33 +123,33 @@ static bool keep(Instance *self, fmi2FMUstate *handle, fmi2FMUstate made, Progre
     if (state && state->slot) return true;
     free(state);
     log_line(&self->log, fmi2Error, "expected memory for an FMU state, received none");
-    slave.FreeFMUstate(self->slave, &made);
+    core.FreeFMUstate(self->core, &made);
     return false;
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *handle) {
-    Instance *self = enter(component, __func__, ANY_MODE);
+    Instance *self = ENTER(fmi2GetFMUstate);
     if (!self) return fmi2Error;
     if (!given(self, __func__, handle)) return leave(self, fmi2Error);
     fmi2FMUstate made = NULL;
-    fmi2Status status = judged(self, slave.GetFMUstate(self->slave, &made));
+    fmi2Status status = judged(self, core.GetFMUstate(self->core, &made));
     if (status < fmi2Discard && !keep(self, handle, made, self->progress)) status = fmi2Error;
     return leave(self, status);
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate handle) {
-    Instance *self = enter(component, __func__, ANY_MODE);
+    Instance *self = ENTER(fmi2SetFMUstate);
     if (!self) return fmi2Error;
     State *state = taken(self, __func__, handle);
     if (!state) return leave(self, fmi2Error);
-    fmi2Status status = judged(self, slave.SetFMUstate(self->slave, state->slave));
+    fmi2Status status = judged(self, core.SetFMUstate(self->core, state->core));
     if (status < fmi2Discard) self->progress = state->progress;
     drop(self, state);
     return leave(self, status);
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *handle) {
-    Instance *self = enter(component, __func__, ANY_MODE);
+    Instance *self = ENTER(fmi2FreeFMUstate);
     if (!self) return fmi2Error;
     if (!handle || !*handle) return leave(self, fmi2OK);
     State *state = taken(self, __func__, *handle);
@@ -169,11 +168,11 @@ fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *handle) {
 }
 
 static fmi2Status sizes(Instance *self, const State *state, size_t *size) {
-    return judged(self, slave.SerializedFMUstateSize(self->slave, state->slave, size));
+    return judged(self, core.SerializedFMUstateSize(self->core, state->core, size));
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate handle, size_t *size) {
-    Instance *self = enter(component, __func__, ANY_MODE);
+    Instance *self = ENTER(fmi2SerializedFMUstateSize);
     if (!self) return fmi2Error;
     State *state = given(self, __func__, size) ? taken(self, __func__, handle) : NULL;
     if (!state) return leave(self, fmi2Error);
@@ -194,7 +193,7 @@ static fmi2Status serialize(Instance *self, const State *state, fmi2Byte bytes[]
         return fmi2Error;
     }
     char *content = bytes + sizeof(Head);
-    status = judged(self, slave.SerializeFMUstate(self->slave, state->slave, content, inner));
+    status = judged(self, core.SerializeFMUstate(self->core, state->core, content, inner));
     Head head = {.fmu = fmu_hash(self), .size = inner, .progress = state->progress};
     head.hash = content_hash(&head.progress, content, inner);
     memcpy(head.magic, MAGIC, sizeof MAGIC);
@@ -203,7 +202,7 @@ static fmi2Status serialize(Instance *self, const State *state, fmi2Byte bytes[]
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate handle, fmi2Byte bytes[], size_t size) {
-    Instance *self = enter(component, __func__, ANY_MODE);
+    Instance *self = ENTER(fmi2SerializeFMUstate);
     if (!self) return fmi2Error;
     State *state = given(self, __func__, bytes) ? taken(self, __func__, handle) : NULL;
     if (!state) return leave(self, fmi2Error);
@@ -228,7 +227,7 @@ static const char *fault(const Instance *self, const Head *head, const fmi2Byte 
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes[], size_t size, fmi2FMUstate *handle) {
-    Instance *self = enter(component, __func__, ANY_MODE);
+    Instance *self = ENTER(fmi2DeSerializeFMUstate);
     if (!self) return fmi2Error;
     if (!given(self, __func__, bytes) || !given(self, __func__, handle)) return leave(self, fmi2Error);
     Head head = {0};
@@ -239,11 +238,11 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes
         return leave(self, fmi2Error);
     }
     fmi2FMUstate made = NULL;
-    fmi2Status status = judged(self, slave.DeSerializeFMUstate(self->slave, bytes + sizeof head, head.size, &made));
+    fmi2Status status = judged(self, core.DeSerializeFMUstate(self->core, bytes + sizeof head, head.size, &made));
     size_t written = 0;
-    if (status < fmi2Discard) status = judged(self, slave.SerializedFMUstateSize(self->slave, made, &written));
-    if (status < fmi2Discard && written != head.size) { /* what the slave could not read it does not write */
-        slave.FreeFMUstate(self->slave, &made);
+    if (status < fmi2Discard) status = judged(self, core.SerializedFMUstateSize(self->core, made, &written));
+    if (status < fmi2Discard && written != head.size) { /* the core does not write what it could not read */
+        core.FreeFMUstate(self->core, &made);
         log_line(&self->log, fmi2Error, "%s: expected the bytes of a state of this FMU, received others with its checksum",
                  __func__);
         return leave(self, fmi2Error);

@@ -1,14 +1,14 @@
-/* What every call begins and ends with: whose it is and whether it may come now, and an environment to compute in. */
+/* What every call begins and ends with: the instance, the check of its mode, and the environment to compute in. */
 #define _GNU_SOURCE
-#include "front.h"
+#include "core.h"
 
 #include <string.h>
 #include <xmmintrin.h>
 
 Handles instances;
 
-/* Masks, rounding and flushing are as every program finds them; flags that exceptions have left do not count. */
-static bool usual_numerics(void) {
+/* Whether masks, rounding and flushing are as at the start of a program; flags that exceptions left do not count. */
+static bool default_numerics(void) {
     unsigned short x87;
     __asm__ volatile("fnstcw %0" : "=m"(x87));
     return (_mm_getcsr() & ~0x3fu) == 0x1f80 && x87 == 0x037f;
@@ -17,28 +17,29 @@ static bool usual_numerics(void) {
 /* The FMU computes with the numerics that it was tested with: hosts trap exceptions, which LAPACK raises on purpose, or
  * flush small numbers to zero, which changes bits. And no interrupt may end the instance in the middle. */
 void surroundings_enter(Surroundings *host) {
-    host->unusual = !usual_numerics();
-    if (host->unusual) {
+    host->changed = !default_numerics();
+    if (host->changed) {
         fegetenv(&host->numerics);
         fesetenv(FE_DFL_ENV);
     }
-    python_entered();
-    interrupts_begin();
+    core_entered();
+    core_hold_interrupts();
 }
 
 void surroundings_leave(const Surroundings *host) {
-    if (host->unusual) fesetenv(&host->numerics);
-    interrupts_end();
-    python_left();
+    if (host->changed) fesetenv(&host->numerics);
+    core_release_interrupts();
+    core_left();
 }
 
 static const char *mode_name(Mode mode) {
-    return mode == INSTANTIATED     ? "instantiated"
-           : mode == INITIALIZATION ? "in initialization mode"
-           : mode == STEPPING       ? "in step mode"
-           : mode == TERMINATED     ? "terminated"
-           : mode == LOST           ? "lost after a fatal error"
-                                    : "inherited from a process that forked while a thread was calling an FMU";
+    switch (mode) {
+#define F(name, text) \
+    case name: return text;
+        MODES(F)
+#undef F
+    }
+    return "in an unknown mode";
 }
 
 static void refuse(Instance *self, const char *function, unsigned modes) {
@@ -54,20 +55,20 @@ static void refuse(Instance *self, const char *function, unsigned modes) {
 
 Instance *enter(fmi2Component component, const char *function, unsigned modes) {
     Slot *slot = handle_slot(&instances, component);
-    if (!slot) return NULL; /* freed, or never one: nobody to tell */
+    if (!slot) return NULL; /* freed or invalid: there is no log to write to */
     if (atomic_flag_test_and_set(&slot->busy)) return NULL;
     Instance *self = slot->object;
     /* Since it was looked up the instance may have been freed, and another may have taken its slot. */
     bool there = handle_slot(&instances, component) == slot && self;
     bool orphaned = there && self->progress.mode == ORPHANED;
-    if (!there || (!orphaned && !python_alive())) return atomic_flag_clear(&slot->busy), NULL;
+    if (!there || (!orphaned && !core_alive())) return atomic_flag_clear(&slot->busy), NULL;
     self->log.worst = fmi2OK;
     if (!(self->progress.mode & modes)) {
         refuse(self, function, modes);
         return atomic_flag_clear(&slot->busy), NULL;
     }
     surroundings_enter(&self->host);
-    if (!orphaned) python_keep_thread();
+    if (!orphaned) core_keep_thread();
     return self;
 }
 

@@ -1,10 +1,10 @@
 /* Steps, what can be asked about them, and the functions that these FMUs say they do not have. */
-#include "front.h"
+#include "core.h"
 
 fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi2Boolean no_set_state_before) {
-    Instance *self = enter(component, __func__, STEPPING);
+    Instance *self = ENTER(fmi2DoStep);
     if (!self) return fmi2Error;
-    fmi2Status status = judged(self, slave.DoStep(self->slave, time, step, no_set_state_before));
+    fmi2Status status = judged(self, core.DoStep(self->core, time, step, no_set_state_before));
     if (status < fmi2Discard) self->progress.last_time = time + step;
     return leave(self, status);
 }
@@ -20,7 +20,7 @@ static fmi2Status unsupported(fmi2Component component, const char *function) {
 
 fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value) {
     if (kind != fmi2LastSuccessfulTime) return unsupported(component, __func__);
-    Instance *self = enter(component, __func__, (unsigned)(STEPPING | TERMINATED));
+    Instance *self = ENTER(fmi2GetRealStatus);
     if (!self) return fmi2Error;
     if (!value) {
         log_line(&self->log, fmi2Error, "%s: expected a place for the value, received NULL", __func__);
@@ -32,7 +32,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind,
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Boolean *value) {
     if (kind != fmi2Terminated) return unsupported(component, __func__);
-    Instance *self = enter(component, __func__, (unsigned)(STEPPING | TERMINATED));
+    Instance *self = ENTER(fmi2GetBooleanStatus);
     if (!self) return fmi2Error;
     if (!value) {
         log_line(&self->log, fmi2Error, "%s: expected a place for the value, received NULL", __func__);

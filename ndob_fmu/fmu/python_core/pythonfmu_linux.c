@@ -1,5 +1,6 @@
+/* pythonfmu's binary on Linux, and the location of its resources. */
 #define _GNU_SOURCE
-#include "front.h"
+#include "pythonfmu.h"
 
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -16,19 +17,10 @@ static char own_folder[PATH_MAX];
 __attribute__((constructor)) static void note_own_folder(void) {
     Dl_info self;
     char path[PATH_MAX];
-    if (!dladdr((void *)&slave, &self) || !realpath(self.dli_fname, path)) return;
+    if (!dladdr((void *)&core, &self) || !realpath(self.dli_fname, path)) return;
     *strrchr(path, '/') = '\0';
     strcpy(own_folder, path);
 }
-
-void lock_acquire(Lock *lock) { pthread_mutex_lock(lock); }
-void lock_release(Lock *lock) { pthread_mutex_unlock(lock); }
-void lock_renew(Lock *lock) { pthread_mutex_init(lock, NULL); }
-
-bool can_read(const char *path) { return access(path, R_OK) == 0; }
-FILE *file_open(const char *path) { return fopen(path, "rbe"); }
-char *real_folder(const char *path) { return realpath(path, NULL); }
-const char *path_of_uri(const char *rest) { return rest; }
 
 void *slave_library(char *reason, size_t size) {
     char path[PATH_MAX + sizeof SLAVE_BINARY];

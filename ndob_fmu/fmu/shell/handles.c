@@ -1,6 +1,6 @@
 /* Handles: 64-bit names of objects. A slot's memory is never given back and a name never used twice, so that a host may
  * come with a handle that was freed, or is another FMU's, or was never one. */
-#include "front.h"
+#include "shell.h"
 
 #include <stdlib.h>
 

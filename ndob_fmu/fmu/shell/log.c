@@ -1,8 +1,6 @@
-/* Messages to the host, by FMI's categories, and the status that the slave's messages carry.
- *
- * pythonfmu makes fmi2Fatal of every exception. The slave therefore never raises; it logs with a status, and the
- * worst one during a call becomes the call's. */
-#include "front.h"
+/* Messages to the host, by FMI's categories, and the status that the core's messages carry: the worst one during a call
+ * becomes the call's. */
+#include "shell.h"
 
 #include <stdarg.h>
 #include <stdio.h>
@@ -17,7 +15,7 @@ static const char *const CATEGORIES[] = {
     [fmi2Fatal] = "logStatusFatal",
 };
 
-/* Make one line of UTF-8 of it, which is what a host can show. */
+/* Make the text one line of UTF-8, in place. */
 static void one_line(char *text) {
     char *to = text;
     for (const char *from = text; *from;) {
@@ -66,7 +64,7 @@ void log_line(Log *log, fmi2Status status, const char *format, ...) {
     send(log, status, CATEGORIES[status], text);
 }
 
-void log_from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
+void log_from_core(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
                     fmi2String message, ...) {
     (void)name, (void)category;
     Log *log = environment;

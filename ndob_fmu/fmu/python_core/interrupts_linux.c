@@ -2,7 +2,7 @@
  * signal handler that is written in Python and raises. In a slave that would end the instance and be lost to the host.
  * So signals that come during a call are held back to its end, and one that came just before is raised after it. */
 #define _GNU_SOURCE
-#include "front.h"
+#include "python.h"
 
 #include <signal.h>
 #include <unistd.h>

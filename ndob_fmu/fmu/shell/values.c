@@ -1,5 +1,6 @@
-/* Getting and setting: only what there is, of its own type, and when FMI allows it. Refused calls change nothing. */
-#include "front.h"
+/* Getting and setting: variables that exist, by the functions of their type, when FMI allows it. A refused call changes
+ * nothing. */
+#include "core.h"
 
 static const char *type_name(char type) {
     return type == 'R' ? "Real" : type == 'I' ? "Integer" : type == 'B' ? "Boolean" : "String";
@@ -31,28 +32,35 @@ static bool present(Instance *self, const char *function, const fmi2ValueReferen
     return true;
 }
 
+typedef struct {
+    char letter;
+    unsigned modes; /* in which it may be set */
+    const char *expected, *received; /* where it may not */
+} Role;
+
+#define F(letter, modes, expected, received) {letter, modes, expected, received},
+static const Role roles[] = {ROLES(F)};
+#undef F
+
+static const Role *role_of(const Variable *variable) {
+    const Role *role = roles;
+    while (role->letter != variable->role) role++;
+    return role;
+}
+
 static bool settable(Instance *self, const char *function, const fmi2ValueReference references[], size_t count) {
-    bool stepping = self->progress.mode == STEPPING;
     for (size_t i = 0; i < count; i++) {
         const Variable *variable = &self->description.variables[references[i]];
-        if (variable->role == 'o') {
-            log_line(&self->log, fmi2Error,
-                     "%s: %s: expected an input or a parameter, received what the FMU calculates", function,
-                     variable->name);
-            return false;
-        }
-        if (stepping && variable->role == 'f') {
-            log_line(&self->log, fmi2Error,
-                     "%s: %s: expected a fixed parameter's value before the end of initialization, received one in "
-                     "step mode",
-                     function, variable->name);
-            return false;
-        }
+        const Role *role = role_of(variable);
+        if (role->modes & self->progress.mode) continue;
+        log_line(&self->log, fmi2Error, "%s: %s: expected %s, received %s", function, variable->name, role->expected,
+                 role->received);
+        return false;
     }
     return true;
 }
 
-/* What pythonfmu can hand to Python: texts that are there and in UTF-8. */
+/* The core takes texts in UTF-8 only. */
 static bool texts(Instance *self, const char *function, const fmi2ValueReference references[], size_t count,
                   const void *values, char type) {
     const fmi2String *strings = values;
@@ -65,26 +73,24 @@ static bool texts(Instance *self, const char *function, const fmi2ValueReference
     return true;
 }
 
-#define SETTABLE_MODES ((unsigned)(INSTANTIATED | INITIALIZATION | STEPPING))
-
 #define ACCESS(Name, TYPE) \
     fmi2Status fmi2Get##Name(fmi2Component component, const fmi2ValueReference references[], size_t count, \
                              fmi2##Name values[]) { \
-        Instance *self = enter(component, __func__, ANY_MODE); \
+        Instance *self = ENTER(fmi2Get##Name); \
         if (!self) return fmi2Error; \
         if (!count) return leave(self, fmi2OK); \
         if (!present(self, __func__, references, count, values, TYPE)) return leave(self, fmi2Error); \
-        return leave(self, judged(self, slave.Get##Name(self->slave, references, count, values))); \
+        return leave(self, judged(self, core.Get##Name(self->core, references, count, values))); \
     } \
     fmi2Status fmi2Set##Name(fmi2Component component, const fmi2ValueReference references[], size_t count, \
                              const fmi2##Name values[]) { \
-        Instance *self = enter(component, __func__, SETTABLE_MODES); \
+        Instance *self = ENTER(fmi2Set##Name); \
         if (!self) return fmi2Error; \
         if (!count) return leave(self, fmi2OK); \
         if (!present(self, __func__, references, count, values, TYPE) || !settable(self, __func__, references, count) \
             || !texts(self, __func__, references, count, values, TYPE)) \
             return leave(self, fmi2Error); \
-        return leave(self, judged(self, slave.Set##Name(self->slave, references, count, values))); \
+        return leave(self, judged(self, core.Set##Name(self->core, references, count, values))); \
     }
 
 ACCESS(Real, 'R')
