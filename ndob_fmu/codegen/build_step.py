@@ -14,6 +14,7 @@ import sympy
 from ndob_fmu.codegen.program import (
     All,
     AnyNonzero,
+    Argument,
     Assign,
     Break,
     Call,
@@ -54,10 +55,22 @@ def build_steps(field: VectorField) -> tuple[Function, ...]:
     of_observer = right_hand_side(field.derivatives(lumped), field.outputs, x, lumped, u)
     return (
         _constants("plant_constants", of_plant, p),
-        Function("plant_trial", ("_x", "_u", "_d", "_k", "_h"), _plant_trial(of_plant, u, p)),
+        Function("plant_trial", (*_arrays("_x", "_u", "_d", "_k"), _number(SUBSTEP)), _plant_trial(of_plant, u, p)),
         _constants("observer_constants", of_observer, p),
-        Function("observer_step", ("_xi", "_inputs", "_k", "_gain", "_H"), _observer_step(of_observer, u, p)),
+        Function(
+            "observer_step",
+            (*_arrays("_xi", "_inputs", "_k"), Argument("_gain", "ConvergedGain"), _number(H)),
+            _observer_step(of_observer, u, p),
+        ),
     )
+
+
+def _arrays(*names: str) -> tuple[Argument, ...]:
+    return tuple(map(Argument, names))
+
+
+def _number(symbol: sympy.Symbol) -> Argument:
+    return Argument(symbol.name, "number")
 
 
 def _kept_of_parameters(rhs: RightHandSide, p: Symbols) -> list[tuple[sympy.Symbol, sympy.Expr]]:
@@ -72,7 +85,9 @@ def _constants(name: str, rhs: RightHandSide, p: Symbols) -> Function:
     values = [value for _, value in _kept_of_parameters(rhs, p)]
     temporaries = sympy.numbered_symbols("_t", real=True)
     shared, reduced = sympy.cse(values, symbols=temporaries, list=True) if values else ([], [])
-    return Function(name, ("_p",), (*element_of_each(p, "_p", values), *assignments(shared), Return(tuple(reduced))))
+    return Function(
+        name, _arrays("_p"), (*element_of_each(p, "_p", values), *assignments(shared), Return(tuple(reduced)))
+    )
 
 
 def _unpacked_constants(rhs: RightHandSide, p: Symbols) -> tuple[Statement, ...]:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-import sympy
-
+from ndob_fmu.codegen.build_definitions import build_definitions
 from ndob_fmu.codegen.build_step import build_steps
 from ndob_fmu.codegen.print_python import IMPORTS, print_function
-from ndob_fmu.codegen.program import Function, Return, Value, assignments, element_of_each
 from ndob_fmu.model.model import Model
-from ndob_fmu.model.vector_field import VectorField
 
 _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edit."""
 
@@ -37,49 +33,12 @@ def emit_python(model: Model) -> str:
     imported = ", ".join(["Channel"] * bool(field.direction) + _IMPORTED)
     parts = [
         _HEADER.format(name=model.name, imports=IMPORTS, names=imported),
-        *map(print_function, _definitions(field)),
+        *map(print_function, build_definitions(field)),
         *([_PLANT_WITH_CHANNEL] if field.direction else []),
         *map(print_function, build_steps(field)),
         _equations(model),
     ]
     return "\n\n".join(parts)
-
-
-def _definitions(field: VectorField) -> list[Function]:
-    """Return the functions that `Equations` consists of besides the steps."""
-    x, u, p = ("_x", field.x), ("_u", field.u), ("_p", field.p)
-    matrices = (field.A, field.B, field.C, field.G_f, field.G_d)
-    definitions = [
-        _function("matrices", [p], [entry for matrix in matrices for entry in matrix], [M.shape for M in matrices]),
-        _function("nonlinearity", [x, u, p], field.f),
-    ]
-    if not field.direction:
-        return [*definitions, _function("derivatives", [x, u, ("_d", field.d), p], field.derivatives(field.d))]
-    w = sympy.symbols(f"_w:{len(field.direction)}", real=True)
-    return [
-        *definitions,
-        _function("direction", [x, u, p], field.direction),
-        _function("lumped_derivatives", [x, u, ("_w", w), p], field.derivatives(w)),
-    ]
-
-
-def _function(
-    name: str,
-    arguments: Sequence[tuple[str, Sequence[sympy.Symbol]]],
-    expressions: Sequence[sympy.Expr],
-    shapes: Sequence[tuple[int, int]] | None = None,
-) -> Function:
-    """Return the function that returns the expressions, as matrices where they have shapes."""
-    temporaries = sympy.numbered_symbols("_t", real=True)
-    shared, reduced = sympy.cse(list(expressions), symbols=temporaries, list=True) if expressions else ([], [])
-    read = [element for array, symbols in arguments for element in element_of_each(symbols, array, expressions)]
-    result = tuple(reduced) if shapes is None else _matrices(reduced, shapes)
-    return Function(name, tuple(array for array, _ in arguments), (*read, *assignments(shared), Return(result)))
-
-
-def _matrices(entries: Sequence[sympy.Expr], shapes: Sequence[tuple[int, int]]) -> tuple[Value, ...]:
-    following = iter(entries)
-    return tuple(tuple(tuple(next(following) for _ in range(columns)) for _ in range(rows)) for rows, columns in shapes)
 
 
 def _equations(model: Model) -> str:

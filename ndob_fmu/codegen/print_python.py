@@ -88,7 +88,15 @@ def python_text(expression: sympy.Expr) -> str:
 
 def print_function(function: Function) -> str:
     """Return the function in Python. Raises ModelError for a function that has no Python form."""
-    return "\n".join([f"def {function.name}({', '.join(function.arguments)}):", *_indented(function.body)]) + "\n"
+    return (
+        "\n".join(
+            [
+                f"def {function.name}({', '.join(argument.name for argument in function.arguments)}):",
+                *_indented(function.body),
+            ]
+        )
+        + "\n"
+    )
 
 
 def _indented(body: Iterable[Statement]) -> Iterator[str]:

@@ -172,11 +172,19 @@ Statement: TypeAlias = Assign | Element | Unpack | Keep | Call | If | Loop | Bre
 
 
 @dataclass(frozen=True)
-class Function:
-    """A function of named arguments: numbers, arrays, or structures as its statements take them apart."""
+class Argument:
+    """An argument of a function; `type` is "number", "array", or the name of one of the runtime's structures."""
 
     name: str
-    arguments: tuple[str, ...]
+    type: str = "array"
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of named arguments, of which it changes none."""
+
+    name: str
+    arguments: tuple[Argument, ...]
     body: tuple[Statement, ...]
 
 

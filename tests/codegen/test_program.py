@@ -1,0 +1,150 @@
+"""The trees of the generated functions hold no Python: printed in C and compiled, they give the same numbers."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import shlex
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ndob_fmu.codegen.build_definitions import build_definitions
+from ndob_fmu.codegen.build_step import build_steps
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.codegen.program import Return
+from ndob_fmu.runtime.equations import HIGHEST_ORDER
+from ndob_fmu.runtime.generated_steps import ConvergedGain
+from ndob_fmu.runtime.numerics.integrate import NODES
+from tests.codegen.c_printer import RUNTIME, print_function, statements
+from tests.codegen.test_generated_step import ALL
+from tests.helpers.needs import C_COMPILER
+
+pytestmark = C_COMPILER
+NAMES = ["flexible_joint", "three_tank", "tool_on_arm", "kinks", "tall, three channels, unmatched"]
+# Both call the same functions of the C library, on the same operations in the same order.
+WITHIN = 1e-14
+
+
+@functools.cache
+def library(name):
+    """Return the model's generated functions as a C library."""
+    field = ALL[name].vector_field
+    text = "\n".join([RUNTIME, *map(print_function, [*build_definitions(field), *build_steps(field)])])
+    with tempfile.TemporaryDirectory() as folder:
+        source, built = Path(folder, "model.c"), Path(folder, "model.so")
+        source.write_text(text)
+        # Neither fuses multiplications with additions: what is rounded once in Python is rounded once in C.
+        options = ["-std=gnu11", "-O1", "-ffp-contract=off", "-shared", "-fPIC", str(source), "-lm", "-o", str(built)]
+        subprocess.run([*shlex.split(os.environ.get("CC", "cc")), *options], check=True)
+        return ctypes.CDLL(str(built))
+
+
+def in_c(name, function, *arguments, count):
+    """Return the first `count` numbers of the function's result, None where it fails; arrays are passed as such."""
+    passed = [ctypes.c_double(a) if isinstance(a, float) else (ctypes.c_double * (len(a) or 1))(*a) for a in arguments]
+    result = (ctypes.c_double * (count or 1))()
+    done = getattr(library(name), function)(*passed, result)
+    return list(result)[:count] if done else None
+
+
+def flat(value):
+    """Return all numbers of nested tuples in their order."""
+    return [number for part in value for number in flat(part)] if isinstance(value, tuple) else [float(value)]
+
+
+def assert_same(name, function, expected, *arguments):
+    expected = flat(expected)
+    found = in_c(name, function, *arguments, count=len(expected))
+    np.testing.assert_allclose(found, expected, rtol=WITHIN, atol=WITHIN * max(map(abs, expected), default=0.0))
+
+
+@pytest.fixture(params=NAMES)
+def case(request):
+    """A model's name and equations, and the random numbers of the test."""
+    return request.param, compile_model(ALL[request.param]), np.random.default_rng(5)
+
+
+def at(eq, random):
+    x = tuple((random.normal(size=len(eq.states)) * eq.xhat0_std).tolist())
+    u, d = (tuple(random.normal(size=len(names)).tolist()) for names in (eq.inputs, eq.disturbances))
+    return x, u, d, tuple(eq.parameters.values())
+
+
+def test_the_definitions_in_c_give_the_numbers_of_python(case):
+    name, eq, random = case
+    for _ in range(5):
+        x, u, d, p = at(eq, random)
+        assert_same(name, "matrices", eq.matrices(p), p)
+        assert_same(name, "nonlinearity", eq.nonlinearity(x, u, p), x, u, p)
+        if eq.channel is None:
+            assert_same(name, "derivatives", eq.derivatives(x, u, d, p), x, u, d, p)
+        else:
+            w = tuple(random.normal(size=len(eq.channel.bound)).tolist())
+            assert_same(name, "direction", eq.channel.direction(x, u, p), x, u, p)
+            assert_same(name, "lumped_derivatives", eq.channel.derivatives(x, u, w, p), x, u, w, p)
+
+
+def test_the_trial_of_the_plant_in_c_gives_the_numbers_of_python(case):
+    name, eq, random = case
+    for h in (1e-3, 0.05):
+        x, u, _, p = at(eq, random)
+        d = tuple(random.normal(size=len(NODES) * len(eq.disturbances)).tolist())
+        k = eq.steps.plant_constants(p)
+        assert_same(name, "plant_constants", k, p)
+        tried = eq.steps.plant_trial(x, u, d, k, h)
+        found = in_c(name, "plant_trial", x, u, d, k, h, count=len(x) + 1)
+        np.testing.assert_allclose(found[:-1], tried.x, rtol=WITHIN, atol=WITHIN * max(map(abs, tried.x)))
+        # The error is a difference of numbers of the size of x, in units of a tolerance of 1e-12.
+        assert found[-1] == pytest.approx(tried.error_norm, rel=1e-6, abs=0.05)
+
+
+@pytest.mark.parametrize(("H", "second"), [(1e-3, 0.0), (1e-3, 2.0), (0.1, 0.0), (0.1, 2.0)])
+def test_the_step_of_the_observer_in_c_gives_the_numbers_of_python(case, H, second):
+    """Over one substep and over several, with d̂'' = 0 and with another."""
+    name, eq, random = case
+    x, u, _, p = at(eq, random)
+    q = len(eq.disturbances) if eq.channel is None else len(eq.channel.bound)
+    inputs, gain = (*u, *(0.1,) * len(eq.outputs)), converged_gain(eq, q, random)
+    xi_hat = (*x, *random.normal(size=2 * q).tolist(), *(second,) * q)
+    k = eq.steps.observer_constants(p)
+    step = eq.steps.observer_step(xi_hat, inputs, k, gain, H)
+    values = (*gain.gate, *gain.d_std, *gain.residual_std, *gain.K)
+    assert_same(name, "observer_step", tuple(step), xi_hat, inputs, k, values, H)
+
+
+def converged_gain(eq, q, random, gate=100.0):
+    p, rows = len(eq.outputs), len(eq.states) + HIGHEST_ORDER * q
+    return ConvergedGain((gate,) * p, (0.1,) * q, (0.2,) * p, tuple((1e-2 * random.normal(size=rows * p)).tolist()))
+
+
+@pytest.mark.parametrize("which", ["outside the gate", "not finite", "too long"])
+def test_a_step_that_the_generated_code_leaves_to_the_definition_is_left_in_c_too(case, which):
+    name, eq, random = case
+    x, u, _, p = at(eq, random)
+    q = len(eq.disturbances) if eq.channel is None else len(eq.channel.bound)
+    gain = converged_gain(eq, q, random, gate=0.0 if which == "outside the gate" else 100.0)
+    sample = (np.nan if which == "not finite" else 0.1,) * len(eq.outputs)
+    xi_hat, H = (*x, *(0.0,) * (HIGHEST_ORDER * q)), 1e9 if which == "too long" else 1e-3
+    k = eq.steps.observer_constants(p)
+    arguments = (*gain.gate, *gain.d_std, *gain.residual_std, *gain.K)
+    try:
+        assert eq.steps.observer_step(xi_hat, (*u, *sample), k, gain, H) is None
+    except (ArithmeticError, ValueError):
+        assert which == "too long"  # Python raises where numbers overflow, C goes on with infinity
+    assert in_c(name, "observer_step", xi_hat, (*u, *sample), k, arguments, H, count=1000) is None
+
+
+def test_the_named_results_have_the_fields_of_the_runtimes_structures():
+    """The trees name the fields in the order of the structures, which the Python text relies on."""
+    from ndob_fmu.runtime import generated_steps
+
+    for function in build_steps(ALL["kinks"].vector_field):
+        for statement in statements(function.body):
+            if isinstance(statement, Return) and hasattr(statement.value, "fields"):
+                names = tuple(name for name, _ in statement.value.fields)
+                assert names == getattr(generated_steps, statement.value.type)._fields
