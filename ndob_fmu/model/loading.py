@@ -35,7 +35,7 @@ def load_model(source: str | Path) -> Model:
         model = runpy.run_path(str(path)).get("model")
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
-    except (Exception, SystemExit) as error:  # whatever the user's file raises is a broken file
+    except (Exception, SystemExit) as error:  # a user's file can raise anything
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else (lines or [None])[-1]
         raise ModelError.report(

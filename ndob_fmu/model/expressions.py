@@ -1,0 +1,126 @@
+"""What a user writes as numbers, texts or SymPy expressions, as expressions in the model's own symbols."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import sympy
+
+from ndob_fmu.errors import ModelError, some_of
+
+# f(x, u, p) or n(x, u, p), with the names as attributes of x, u and p.
+Nonlinearity = Callable[[Any, Any, Any], Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """The reader of a model's expressions.
+
+    model: its name, for messages
+    symbols: the real symbol of every state, input, disturbance and parameter
+    """
+
+    model: str
+    symbols: Mapping[str, sympy.Symbol]
+
+    def matrix(
+        self, label: str, value: Any, shape: tuple[int, int], why: str, allowed: Iterable[str]
+    ) -> sympy.ImmutableMatrix:
+        """Return a matrix of this shape in the allowed symbols; `why` says where the shape comes from.
+
+        Raises ModelError for another shape, and for entries that are no finite real expressions in these symbols.
+        """
+        if value is None and 0 in shape:
+            return sympy.ImmutableMatrix.zeros(*shape)
+        try:
+            matrix = sympy.ImmutableMatrix(self._parsed(value) if value is not None else [])
+        except (TypeError, ValueError, sympy.SympifyError) as error:
+            raise ModelError.report(
+                f"{self.model}.{label}", expected=f"a {shape} matrix", received=f"{value!r} ({_one_line(error)})"
+            ) from error
+        if matrix.shape != shape:
+            raise ModelError.report(
+                f"{self.model}.{label}",
+                expected=f"shape {shape} because {why}",
+                received=f"shape {matrix.shape}",
+                likely="a missing row or column, or a missing pair of brackets",
+            )
+        known = frozenset(allowed)
+        return matrix.applyfunc(lambda entry: self._own_symbols(label, entry, known))
+
+    def returned_by(
+        self, label: str, function: Nonlinearity | None, groups: Sequence[Sequence[str]]
+    ) -> tuple[sympy.Expr, ...]:
+        """Return what function(x, u, p) returns, with the names of the three groups; nothing without a function.
+
+        Raises ModelError where it cannot be called so, or returns anything but a list of real expressions in these.
+        """
+        if function is None:
+            return ()
+        spaces = [SimpleNamespace(**{name: self.symbols[name] for name in group}) for group in groups]
+        known = frozenset(name for group in groups for name in group)
+        try:
+            values = list(function(*spaces))
+            return tuple(self._own_symbols(label, value, known) for value in values)
+        except (AttributeError, TypeError, sympy.SympifyError) as error:
+            if isinstance(error, AttributeError) and _raised_in_sympy(error):
+                raise
+            raise ModelError.report(
+                f"{self.model}.{label}",
+                expected=f"{label}(x, u, p) returning a list of SymPy expressions in their attributes",
+                received=_one_line(error),
+                likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
+            ) from error
+
+    def _parsed(self, value: Any) -> Any:
+        """Return lists with each text in them as an expression, in which the model's names mean the model's symbols.
+
+        By itself SymPy takes the text "E" for 2.718… and "beta" for a function.
+        """
+        if isinstance(value, str):
+            try:
+                found = sympy.sympify(value, locals=dict(self.symbols))
+            except Exception as error:  # SymPy evaluates the text, which may raise anything
+                raise sympy.SympifyError(value, error) from error
+            if not isinstance(found, sympy.Expr):
+                raise sympy.SympifyError(value)
+            return found
+        return [self._parsed(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+    def _own_symbols(self, label: str, expression: Any, known: frozenset[str]) -> sympy.Expr:
+        """Replace the user's symbols by the model's real ones of the same name; refuse any other symbol."""
+        expression = sympy.sympify(self._parsed(expression))
+        if not isinstance(expression, sympy.Expr) or expression.has(sympy.I):
+            raise ModelError.report(
+                f"{self.model}.{label}", expected="real numbers or SymPy expressions", received=str(expression)
+            )
+        for symbol in expression.free_symbols:
+            if symbol.name not in known:
+                raise ModelError.report(
+                    f"{self.model}.{label}",
+                    expected=f"expressions in {some_of(sorted(known))}" if known else "numbers",
+                    received=f"the symbol {symbol.name!r}",
+                    likely="a parameter that is not declared, or a state in a constant matrix",
+                )
+        if expression.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
+            raise ModelError.report(f"{self.model}.{label}", expected="finite entries", received=str(expression))
+        return expression.xreplace({symbol: self.symbols[symbol.name] for symbol in expression.free_symbols})
+
+
+def same_matrix(one: sympy.MatrixBase, other: sympy.MatrixBase) -> bool:
+    """Return whether two matrices are equal as numbers; SymPy's own == holds 1.0 and 1 to be different."""
+    return one.shape == other.shape and all((a - b).is_zero for a, b in zip(one, other, strict=True))
+
+
+def _raised_in_sympy(error: Exception) -> bool:
+    """Return whether the error comes from SymPy's own code: a fault of the library, not of what it was given."""
+    innermost = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1]
+    return str(innermost.f_globals.get("__name__")).partition(".")[0] == "sympy"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
