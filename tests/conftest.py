@@ -60,6 +60,12 @@ def flexible_joint(tmp_path_factory) -> Built:
     return Built(plant, observer, build_ssp(shipped_folder("ssp") / "open_loop", folder, folder))
 
 
+@pytest.fixture(scope="session")
+def components(flexible_joint) -> dict[str, Path]:
+    """Return the FMUs of the records by their names; they lie beside the plant and the observer."""
+    return {path.stem: path for path in build_components(flexible_joint.plant.parent)}
+
+
 @dataclass(frozen=True)
 class Shipped:
     """All FMUs and systems of `make build`; sets: the parameter sets besides the nominal one."""
@@ -70,10 +76,9 @@ class Shipped:
 
 
 @pytest.fixture(scope="session")
-def shipped(flexible_joint) -> Shipped:
-    fmus = flexible_joint.plant.parent
+def shipped(flexible_joint, components) -> Shipped:
+    fmus = flexible_joint.plant.parent  # where `components` lie as well
     systems = fmus / "systems"
-    build_components(fmus)
     build_controller(load_model("flexible_joint"), fmus)
     sets = set()
     for path in shipped_folder("ssp").glob("*/SystemStructure.ssd"):

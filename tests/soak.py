@@ -2,8 +2,8 @@
 
 python -m tests.soak [--steps N] [--fmus FOLDER]
 
-N steps (1000000) of plant and observer each, in fmpy and in a native host, a tenth of it with varying steps and samples
-that are not finite, and ten rounds of 100 instances.
+N steps (1000000) of a plant, an observer and each component, in fmpy and in a native host, a tenth of it with varying
+steps and samples that are not finite, and ten rounds of 100 instances.
 
 Prints the growth after a warm-up of a tenth, at most 2000 steps, and ends with 1 if a run grows by a megabyte or more.
 """
@@ -29,10 +29,16 @@ from random import Random
 from fmpy import fmi2, read_model_description
 from fmpy.model_description import ModelDescription
 
+from ndob_fmu import build, load_model
+from ndob_fmu.fmu.components import build_components, records
+from tests.helpers.component_settings import moved
+from tests.helpers.native_host import compile_host, unpack
+
 ROOT = Path(__file__).parents[1]
 H = 1e-3
 WARM_UP = 2000
 LIMIT = 1_000_000
+SETTINGS = {record.name: moved(record.variables) for record in records()}
 ORDERS = ("first in, first out", "last in, first out", "mixed")
 
 
@@ -79,6 +85,11 @@ def _description(folder: Path) -> ModelDescription:
     return read_model_description(str(folder))
 
 
+def _references(description: ModelDescription, causality: str) -> list[int]:
+    real = (v for v in description.modelVariables if v.type == "Real")
+    return [v.valueReference for v in real if v.causality == causality]
+
+
 class Stepped:
     """An instance in fmpy, with buffers made once."""
 
@@ -91,8 +102,9 @@ class Stepped:
             unzipDirectory=str(folder),
         )
         self.fmu.instantiate()
-        real = [v for v in description.modelVariables if v.type == "Real"]
-        inputs, outputs = ([v.valueReference for v in real if v.causality == kind] for kind in ("input", "output"))
+        self.settings = SETTINGS.get(description.modelName, {})
+        self.variables = {v.name: v for v in description.modelVariables}
+        inputs, outputs = (_references(description, kind) for kind in ("input", "output"))
         self.inputs, self.outputs = (c_uint * len(inputs))(*inputs), (c_uint * len(outputs))(*outputs)
         self.given, self.received = (c_double * len(inputs))(), (c_double * len(outputs))()
         self.begin()
@@ -100,6 +112,10 @@ class Stepped:
     def begin(self) -> None:
         self.time = 0.0
         self.fmu.setupExperiment(startTime=0.0)
+        for name, value in self.settings.items():
+            variable = self.variables[name]
+            set_value = self.fmu.setReal if variable.type == "Real" else self.fmu.setInteger
+            set_value([variable.valueReference], [value])
         self.fmu.enterInitializationMode()
         self.fmu.exitInitializationMode()
 
@@ -162,9 +178,10 @@ def crowds(folder: Path, rounds: int) -> Memory:
 
 def native(fmu: Path, steps: int, work: Path) -> int:
     """The growth (bytes) of the C host over this many steps."""
-    from .native_host import compile_host, unpack
-
     run = unpack(fmu, work / "native", compile_host(work))
+    inputs, outputs = (
+        ",".join(map(str, _references(read_model_description(str(fmu)), kind))) or "-" for kind in ("input", "output")
+    )
     command = [run.host, run.library, run.resources.as_uri(), run.guid]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={}) as host:
 
@@ -173,10 +190,10 @@ def native(fmu: Path, steps: int, work: Path) -> int:
             host.stdin.flush()
             assert not host.stdout.readline().startswith("log"), words
 
-        for words in ("new fmu", "setup 0", "enter", "exit", f"run {WARM_UP} {H} 0,1 2,3"):
+        for words in ("new fmu", "setup 0", "enter", "exit", f"run {WARM_UP} {H} {inputs} {outputs}"):
             say(words)
         before = resident(host.pid)
-        say(f"run {steps} {H} 0,1 2,3")
+        say(f"run {steps} {H} {inputs} {outputs}")
         grown = resident(host.pid) - before
         host.stdin.close()
     return grown
@@ -207,7 +224,7 @@ def main() -> int:
     """Print the growth of each run."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--fmus", type=Path, help="folder with the FMUs of flexible_joint; built if it is not given")
+    parser.add_argument("--fmus", type=Path, help="folder with the shipped FMUs; built if it is not given")
     parser.add_argument("--inside", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.inside:
@@ -230,11 +247,11 @@ def main() -> int:
 
 
 def _fmus(given: Path | None, work: Path) -> list[Path]:
+    """Return a plant, an observer and the components."""
     if given:
-        return sorted(path for part in ("Plant", "Observer") for path in given.glob(f"*{part}.fmu"))
-    from ndob_fmu import build, load_model
-
-    return list(build(load_model("flexible_joint"), work))
+        names = ("*Plant", "*Observer", *(record.name for record in records()))
+        return sorted(path for name in names for path in given.glob(f"{name}.fmu"))
+    return [*build(load_model("flexible_joint"), work), *build_components(work)]
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ def main() -> int:
     parser.add_argument("--calls", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--examples", type=int, default=0, help="of hypothesis, instead of a walk by the seed")
-    parser.add_argument("--fmus", type=Path, help="folder with the FMUs of flexible_joint; built if it is not given")
+    parser.add_argument("--fmus", type=Path, help="folder with the shipped FMUs; built if it is not given")
     parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.inside:
@@ -53,11 +53,15 @@ def main() -> int:
 
 
 def _fmus(given: Path | None, folder: Path) -> list[Path]:
-    if given:
-        return sorted(path for part in ("Plant", "Observer") for path in given.glob(f"*{part}.fmu"))
+    """Return a plant, an observer and the components; the reference knows no texts, so none that has one."""
     from ndob_fmu import build, load_model
+    from ndob_fmu.fmu.components import records
 
-    return list(build(load_model("flexible_joint"), folder))
+    numeric = [record for record in records() if all(variable.type != "String" for variable in record.variables)]
+    if given:
+        names = ("*Plant", "*Observer", *(record.name for record in numeric))
+        return sorted(path for name in names for path in given.glob(f"{name}.fmu"))
+    return [*build(load_model("flexible_joint"), folder), *(record.build(folder) for record in numeric)]
 
 
 def inside(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""A random walk over two FMUs' instances: draw a call, make it, and judge status, log and values by the reference.
+"""A random walk over the instances of several FMUs: draw a call, make it, judge status, log and values by reference.py.
 
 Every choice comes from `random`, so that a seed is a sequence of calls. A second witness besides the reference: one
 instance of each FMU does nothing but step at intervals, and so does one that was reset; both must have the bits of an
