@@ -46,7 +46,7 @@ OUTPUT_INTERVAL = 0.05
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Torques:
     """Torques of the motor and of the load, besides the generator's, from each of the times on (s, N·m)."""
 
     torques: Mapping[float, tuple[float, float]]
@@ -57,8 +57,8 @@ class Experiment:
         return np.array(list(self.torques.values()))[since]
 
 
-PAPER = Experiment({0.0: (0.0, 0.0)})
-JUMPS = Experiment(
+PAPER = Torques({0.0: (0.0, 0.0)})
+JUMPS = Torques(
     {
         0.0: (0.0, 0.0),
         4.0: (3.0, 0.0),
@@ -71,7 +71,7 @@ JUMPS = Experiment(
 )
 
 
-def plant_solution(times: Array, experiment: Experiment) -> Array:
+def plant_solution(times: Array, experiment: Torques) -> Array:
     """Return x (len(times), 4) of the paper's example, from x = (1, 1, 1, 1), under the experiment's torques."""
     x, at_start = np.empty((len(times), 4)), np.ones(4)
     starts = list(experiment.torques)
@@ -90,13 +90,13 @@ def plant_solution(times: Array, experiment: Experiment) -> Array:
     return x
 
 
-def plant_inputs(experiment: Experiment) -> Recording:
+def plant_inputs(experiment: Torques) -> Recording:
     """Return what the plant FMU takes in, at every step."""
     times = _grid(OUTPUT_INTERVAL)
     return Recording(times, ("motor_torque", "load_torque"), experiment(times))
 
 
-def plant_reference(experiment: Experiment) -> Recording:
+def plant_reference(experiment: Torques) -> Recording:
     """Return what the plant FMU puts out; its disturbance at the end of a step is made with the input of that step."""
     times = _grid(OUTPUT_INTERVAL)
     x = plant_solution(times, experiment)
@@ -105,7 +105,7 @@ def plant_reference(experiment: Experiment) -> Recording:
     return Recording(times, names, np.column_stack([x[:, [2, 0, 1, 3]], GENERATOR + load]))
 
 
-def observer_inputs(experiment: Experiment) -> Recording:
+def observer_inputs(experiment: Torques) -> Recording:
     """Return what the observer FMU takes in, at every step."""
     times = _grid(OBSERVER_STEP)
     x = plant_solution(times, experiment)

@@ -32,7 +32,7 @@ START_VALUES = {"FlexibleJointObserver_paper": ("method", "1")}
 
 
 @dataclass(frozen=True)
-class Experiment:
+class ReferenceExperiment:
     """One run of an FMU and its reference; `stem` is what the names of its files begin with."""
 
     stem: str
@@ -67,10 +67,10 @@ class Experiment:
         return words
 
 
-def experiments() -> list[Experiment]:
+def experiments() -> list[ReferenceExperiment]:
     """Return all experiments that lie beside this script."""
     paths = sorted(HERE.glob("*/*_ref.opt"))
-    return [Experiment(path.name.removesuffix("_ref.opt"), path.parent) for path in paths]
+    return [ReferenceExperiment(path.name.removesuffix("_ref.opt"), path.parent) for path in paths]
 
 
 def read_columns(path: Path) -> dict[str, Array]:
@@ -105,7 +105,7 @@ def excess(reference: dict[str, Array], result: dict[str, Array], tolerance: flo
     return found
 
 
-def run(experiment: Experiment, fmus: Path) -> dict[str, float]:
+def run(experiment: ReferenceExperiment, fmus: Path) -> dict[str, float]:
     """Simulate and return by how much each signal leaves its tube. Raises RuntimeError, as fmpy says, if it fails."""
     with tempfile.TemporaryDirectory(prefix="regression_") as folder:
         words = experiment.command(fmus, Path(folder, "result.csv"))

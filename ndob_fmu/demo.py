@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.cosim import simulate
-from ndob_fmu.cosim.run_folder import describe, draw
+from ndob_fmu.cosim.run_folder import summary_of, write_system_picture
 from ndob_fmu.results import plots
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import write_run
@@ -87,7 +87,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
     shown, peaking = verdict(recording), start_up(pi_ramp_time=0.0)
     everyday = start_up(method=_SAMPLED_DATA)
     summary = {
-        **describe(system, recording, overrides),
+        **summary_of(system, recording, overrides),
         "method": "paper",
         **shown.to_dict(),
         "peak_estimate_without_schedule": float(np.abs(peaking.estimate).max()),
@@ -101,7 +101,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
     with atomic_folder(results) as new:
         write_run(new, recording, summary)
         _draw_figures(new, shown, peaking, everyday)
-        draw(new, system)
+        write_system_picture(new, system)
     return summary
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from ndob_fmu.cosim.component import Value, Variable
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
-from ndob_fmu.cosim.fmi.archive import open_archive
 from ndob_fmu.cosim.fmi.model_description import read_description
+from ndob_fmu.cosim.fmi.zip_archive import open_archive
 from ndob_fmu.cosim.ssp.pack import pack_folder
 from ndob_fmu.cosim.ssp.write import write_system
 from ndob_fmu.cosim.system.system import System
@@ -34,7 +34,7 @@ def build_ssp(
     Arm.fmu there, unless there is a plant_Arm.fmu. The same files give the same bytes. Raises UsageError if the folder
     has no .ssd or the package cannot be written, CouplingError if an FMU is missing or the system cannot be run.
     """
-    return pack_folder(folder, fmu_dir, out_dir, parameter_set=parameter_set, restart=with_start_values)
+    return pack_folder(folder, fmu_dir, out_dir, parameter_set=parameter_set, restart=fmu_with_start_values)
 
 
 def write_ssp(
@@ -61,10 +61,10 @@ def write_ssp(
     UsageError for step ratios without step_size and a file that cannot be written.
     """
     experiment = DefaultExperiment(start_time, stop_time, step_size)
-    return write_system(system, Path(path), experiment, parameter_set, description, restart=with_start_values)
+    return write_system(system, Path(path), experiment, parameter_set, description, restart=fmu_with_start_values)
 
 
-def with_start_values(fmu: str | Path, values: Mapping[str, Value]) -> bytes:
+def fmu_with_start_values(fmu: str | Path, values: Mapping[str, Value]) -> bytes:
     """Return the FMU file with these start values of inputs and parameters in its model description and its code.
 
     An FMU that was not built by this package is returned unchanged: its code has its own start values. Raises

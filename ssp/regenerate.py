@@ -17,7 +17,7 @@ from pathlib import Path
 from ndob_fmu.cosim import System
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
-from ndob_fmu.cosim.ssp.write import describe
+from ndob_fmu.cosim.ssp.write import description_files
 from ndob_fmu.support.files import atomic_path
 from ssp.boundary import with_boundary
 from ssp.nested import two_joints_full
@@ -202,7 +202,7 @@ def descriptions(fmus: Path) -> dict[str, bytes]:
         experiment = DefaultExperiment(0.0, stop_time, 1e-3)
         for parameter_set in sets:
             system = make(fmus, SETS[parameter_set])
-            texts = describe(system, name, experiment, parameter_set, " ".join((make.__doc__ or "").split()))
+            texts = description_files(system, name, experiment, parameter_set, " ".join((make.__doc__ or "").split()))
             folder = name if parameter_set == "nominal" else f"{name}/{parameter_set}"
             for file, text in texts.items():
                 if parameter_set == "nominal" or file.endswith(".ssv"):

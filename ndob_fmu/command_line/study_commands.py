@@ -40,7 +40,7 @@ def add_study_commands(commands: Commands) -> None:
 def _sweep(options: argparse.Namespace) -> int:
     with extra("study"):
         from ndob_fmu.study import read_study, sweep
-        from ndob_fmu.study.figures import draw
+        from ndob_fmu.study.figures import draw_figures
         from ndob_fmu.study.summary import as_text, summarize
 
     study = read_study(options.study)
@@ -55,7 +55,7 @@ def _sweep(options: argparse.Namespace) -> int:
         )
         summary = summarize(folder, tally)
         print(as_text(summary))
-        names = ["runs.csv", "summary.json", *(f"{path.stem}.png and .svg" for path in draw(folder))]
+        names = ["runs.csv", "summary.json", *(f"{path.stem}.png and .svg" for path in draw_figures(folder))]
     except KeyboardInterrupt as interrupt:
         print(f"\nndob-fmu: interrupted; finished runs are in {folder}, the same command goes on", file=sys.stderr)
         return exit_code(interrupt)

@@ -4,16 +4,16 @@ from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.simulation import open_system, simulate
 from ndob_fmu.cosim.ssp import check_ssp, open_ssp, parameter_sets
-from ndob_fmu.cosim.system.loops import Loop, algebraic_loops
+from ndob_fmu.cosim.system.loops import AlgebraicLoop, algebraic_loops
 from ndob_fmu.cosim.system.ports import Connection, Port
 from ndob_fmu.cosim.system.system import System
 from ndob_fmu.results.recording import Recording
 
 __all__ = [
+    "AlgebraicLoop",
     "Component",
     "Connection",
     "FmuComponent",
-    "Loop",
     "Port",
     "Recording",
     "System",

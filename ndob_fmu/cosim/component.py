@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.units import BaseUnit
@@ -73,7 +73,7 @@ class Component(Protocol):
         self,
         start_time: float,
         stop_time: float,
-        start_values: Mapping[str, Any],
+        start_values: Mapping[str, Value],
         inputs: Sequence[str],
         tolerance: float | None = None,
     ) -> None:

@@ -39,13 +39,13 @@ def simulate_into(folder: Path, system: str | Path, **settings: Any) -> Recordin
             raise
         recording, failure = error.recording, error
     wall_time = time.perf_counter() - began
-    summary = describe(system, recording, settings)
+    summary = summary_of(system, recording, settings)
     how = {"failed": failure and str(failure), "scheme": settings.get("scheme", "jacobi"), "wall_time": wall_time}
     with atomic_folder(folder) as new:
         inputs = None if settings.get("input_file") is None else _inputs(system, recording, settings)
         write_run(new, recording, {**summary, **how}, inputs)
         plots.plot_signals(new / "signals.png", recording)
-        draw(new, system)
+        write_system_picture(new, system)
     if failure is not None:
         raise failure
     return recording
@@ -61,13 +61,13 @@ def _inputs(system: System | str | Path, recording: Recording, settings: Mapping
     return Recording(recording.time, tuple(map(str, table.ports)), table.values[rows])
 
 
-def draw(folder: Path, system: System | str | Path) -> None:
+def write_system_picture(folder: Path, system: System | str | Path) -> None:
     """Write the picture of a system into a folder of results, where the report finds it."""
     with open_system(system) as (opened, _):
         write_picture(folder / SYSTEM_PICTURE, opened, "" if isinstance(system, System) else Path(system).name)
 
 
-def describe(system: System | str | Path, recording: Recording, settings: Mapping[str, Any]) -> dict[str, Any]:
+def summary_of(system: System | str | Path, recording: Recording, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the entries of summary.json on how these settings of `simulate` made a recording.
 
     output_interval: only where rows are further apart than steps. connections: input → [output, factor, offset].

@@ -19,10 +19,10 @@ from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.study import STEP_SIZE, Simulation
-from ndob_fmu.study.toml_file import Section
+from ndob_fmu.study.toml_file import TomlTable
 
 
-def check_names(file: Section, system: System, points: Points, fixed: Mapping[str, Value]) -> None:
+def check_names(file: TomlTable, system: System, points: Points, fixed: Mapping[str, Value]) -> None:
     """Raise UsageError or CouplingError unless each name can be set and takes all of its values."""
     levels = {name: [value] for name, value in fixed.items()} | points.levels()
     set_by: dict[Port, str] = {}
@@ -47,7 +47,7 @@ def check_names(file: Section, system: System, points: Points, fixed: Mapping[st
 
 
 def check_times(
-    file: Section, experiment: DefaultExperiment, simulation: Simulation, points: Points
+    file: TomlTable, experiment: DefaultExperiment, simulation: Simulation, points: Points
 ) -> tuple[list[float], float]:
     """Return the step sizes of the study and the least time of a last row (s).
 
@@ -71,7 +71,7 @@ def check_times(
 
 
 def check_coupling(
-    file: Section, system: System, simulation: Simulation, points: Points, fixed: Mapping[str, Value]
+    file: TomlTable, system: System, simulation: Simulation, points: Points, fixed: Mapping[str, Value]
 ) -> None:
     """Raise UsageError or CouplingError unless the system can be wired as the study says."""
     with _located(f"{file.where}, [simulation]"):
@@ -104,7 +104,7 @@ def resolver(where: str, system: System) -> Callable[[str, Any], str]:
     return resolve
 
 
-def unit_of(system: System, name: str) -> str | None:
+def unit_of_name(system: System, name: str) -> str | None:
     """Return the unit that the FMU declares for the variable of a name."""
     if name in system.outputs:
         return system.variable(system.outputs[name].port).unit

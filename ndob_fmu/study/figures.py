@@ -20,7 +20,7 @@ from ndob_fmu.study.store import read_runs
 _MOST_LINES = 2000
 
 
-def draw(folder: Path) -> list[Path]:
+def draw_figures(folder: Path) -> list[Path]:
     """Write parallel_coordinates.png of a study's folder, and heat_map.png or scatter.png of two parameters,
     all also as .svg; return the .png files.
 

@@ -18,7 +18,7 @@ _LEAST_SHARE = 2.0**-53  # a drawn share may be 0, where a normal distribution h
 
 
 @dataclass(frozen=True)
-class Table:
+class ParameterTable:
     """Parameters that vary together: ``rows[k]`` has a value for each of ``names``; drawn: spread over ranges."""
 
     names: tuple[str, ...]
@@ -51,38 +51,38 @@ class Range:
         return np.clip(between, self.a, self.b)  # exp and log round
 
 
-def grid(columns: Mapping[str, Sequence[Value]]) -> Table:
+def grid(columns: Mapping[str, Sequence[Value]]) -> ParameterTable:
     """Return every combination, the last parameter varying fastest."""
-    return Table(tuple(columns), tuple(product(*columns.values())))
+    return ParameterTable(tuple(columns), tuple(product(*columns.values())))
 
 
-def listed(columns: Mapping[str, Sequence[Value]]) -> Table:
+def listed(columns: Mapping[str, Sequence[Value]]) -> ParameterTable:
     """Return the k-th values of all parameters as the k-th row."""
-    return Table(tuple(columns), tuple(zip(*columns.values(), strict=True)))
+    return ParameterTable(tuple(columns), tuple(zip(*columns.values(), strict=True)))
 
 
-def latin_hypercube(ranges: Mapping[str, Range], count: int, seed: int) -> Table:
+def latin_hypercube(ranges: Mapping[str, Range], count: int, seed: int) -> ParameterTable:
     """Return points of which each of ``count`` equally likely slices of every range holds one."""
     # Streams of their own, so that a study with both kinds of tables has no points that go together.
     shares = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng((seed, 0))).random(count)
     return _spread(ranges, shares)
 
 
-def random(ranges: Mapping[str, Range], count: int, seed: int) -> Table:
+def random(ranges: Mapping[str, Range], count: int, seed: int) -> ParameterTable:
     """Return points drawn independently."""
     return _spread(ranges, np.random.default_rng((seed, 1)).random((count, len(ranges))))
 
 
-def _spread(ranges: Mapping[str, Range], shares: NDArray[np.float64]) -> Table:
+def _spread(ranges: Mapping[str, Range], shares: NDArray[np.float64]) -> ParameterTable:
     columns = [spread.at(shares[:, k]).tolist() for k, spread in enumerate(ranges.values())]
-    return Table(tuple(ranges), tuple(zip(*columns, strict=True)), drawn=True)
+    return ParameterTable(tuple(ranges), tuple(zip(*columns, strict=True)), drawn=True)
 
 
 @dataclass(frozen=True)
 class Points:
     """Every row of each table combined with every row of the others; the last table varies fastest."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[ParameterTable, ...]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from ndob_fmu.cosim import Value
 from ndob_fmu.errors import UsageError, some_of
-from ndob_fmu.study.points import Range, Table, grid, latin_hypercube, listed, random
-from ndob_fmu.study.toml_file import Section
+from ndob_fmu.study.points import ParameterTable, Range, grid, latin_hypercube, listed, random
+from ndob_fmu.study.toml_file import TomlTable
 
 KINDS = ("grid", "list", "latin_hypercube", "random")
 MOST_RUNS = 1_000_000
@@ -19,7 +19,7 @@ _MOST_VALUES = 10_000_000  # which still fit in some hundred megabytes
 _RANGE = {"from", "to", "mean", "std"}
 
 
-def read_tables(file: Section, seed: int) -> Iterator[Table]:
+def read_tables(file: TomlTable, seed: int) -> Iterator[ParameterTable]:
     """Yield what the tables [grid], [list], [latin_hypercube] and [random] of a study file stand for.
 
     seed: of what is drawn. Raises UsageError for what cannot be read.
@@ -51,13 +51,13 @@ def read_tables(file: Section, seed: int) -> Iterator[Table]:
             yield latin_hypercube(ranges, count, seed) if kind == "latin_hypercube" else random(ranges, count, seed)
 
 
-def _check_runs(file: Section, runs: int) -> None:
+def _check_runs(file: TomlTable, runs: int) -> None:
     if runs > MOST_RUNS:
         received = f"{runs if runs < 10**18 else 'more than 10^18'}, every combination of the tables"
         raise UsageError.report(file.where, expected=f"at most {MOST_RUNS} runs", received=received)
 
 
-def _check_size(section: Section, rows: int, columns: int) -> None:
+def _check_size(section: TomlTable, rows: int, columns: int) -> None:
     if rows * columns > _MOST_VALUES:
         expected = f"at most {_MOST_VALUES} values, runs times parameters"
         raise UsageError.report(section.where, expected=expected, received=f"{rows} times {columns}")
@@ -73,9 +73,9 @@ def flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{name}", entry
 
 
-def _values(section: Section, name: str, entry: Any) -> list[Value]:
+def _values(section: TomlTable, name: str, entry: Any) -> list[Value]:
     if isinstance(entry, dict):
-        spread = Section(f"{section.where}, {name}", entry)
+        spread = TomlTable(f"{section.where}, {name}", entry)
         spread.only(["from", "to", "values", "scale"])
         count = spread.count("values", ..., 2, MOST_RUNS)
         return [float(value) for value in _limits(spread).at(np.linspace(0.0, 1.0, count))]
@@ -93,10 +93,10 @@ def _values(section: Section, name: str, entry: Any) -> list[Value]:
     return list(entry)
 
 
-def _range(section: Section, name: str, entry: Any) -> Range:
+def _range(section: TomlTable, name: str, entry: Any) -> Range:
     if not isinstance(entry, dict):
         raise section.wrong(name, "{ from = …, to = … } or { mean = …, std = … }", entry)
-    spread = Section(f"{section.where}, {name}", entry)
+    spread = TomlTable(f"{section.where}, {name}", entry)
     if "mean" in entry or "std" in entry:
         spread.only(["mean", "std"])
         mean, deviation = spread.number("mean", ...), spread.number("std", ...)
@@ -109,7 +109,7 @@ def _range(section: Section, name: str, entry: Any) -> Range:
     return _limits(spread)
 
 
-def _limits(spread: Section) -> Range:
+def _limits(spread: TomlTable) -> Range:
     low, high = spread.number("from", ...), spread.number("to", ...)
     scale = spread.get("scale", str, "linear", '"linear" or "log"')
     if scale not in ("linear", "log"):

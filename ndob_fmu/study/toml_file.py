@@ -24,7 +24,7 @@ _NUMBERS = "whole numbers of at most 64 bits"
 
 
 @dataclass(frozen=True)
-class Section:
+class TomlTable:
     """One table of the file; ``where`` is how messages call it."""
 
     where: str
@@ -78,16 +78,16 @@ class Section:
             raise self.wrong(name, f"{expected}, each once", value)
         return value
 
-    def section(self, name: str) -> Section:
+    def section(self, name: str) -> TomlTable:
         """Return a table, empty if the file has none of that name."""
-        return Section(f"{self.where}, [{name}]", self.get(name, dict, {}, f"a table [{name}]"))
+        return TomlTable(f"{self.where}, [{name}]", self.get(name, dict, {}, f"a table [{name}]"))
 
     def wrong(self, name: str, expected: str, received: Any, likely: str = "") -> NdobError:
         """Return the error for an entry that cannot be used."""
         return UsageError.report(f"{self.where}, {name}", expected=expected, received=repr(received), likely=likely)
 
 
-def read_toml(path: Path) -> Section:
+def read_toml(path: Path) -> TomlTable:
     """Return the whole file; raise UsageError if it cannot be read or is no TOML, with the line and what is there.
 
     Numbers fit into 64 bits, tables and lists are nested at most some levels deep.
@@ -115,7 +115,7 @@ def read_toml(path: Path) -> Section:
     except RecursionError as error:
         raise UsageError.report(where, expected=_NESTING, received="many more") from error
     _check_values(where, entries)
-    return Section(where, entries)
+    return TomlTable(where, entries)
 
 
 def _check_values(where: str, entries: Any) -> None:

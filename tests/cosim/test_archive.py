@@ -8,8 +8,8 @@ from collections import namedtuple
 
 import pytest
 
-from ndob_fmu.cosim.fmi import archive
-from ndob_fmu.cosim.fmi.archive import open_archive
+from ndob_fmu.cosim.fmi import zip_archive
+from ndob_fmu.cosim.fmi.zip_archive import open_archive
 from ndob_fmu.errors import CouplingError, UsageError
 
 
@@ -37,7 +37,7 @@ def test_an_error_of_the_caller_goes_through_as_it_is(path):
 
 def test_an_archive_that_does_not_fit_on_the_disk_is_refused_before_it_is_unpacked(path, tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10**9, 9 * 10**8, archive._KEPT_FREE + 4000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10**9, 9 * 10**8, zip_archive.KEPT_FREE + 4000))
     unpacked = tmp_path / "unpacked"
     unpacked.mkdir()
     with (

@@ -9,7 +9,7 @@ import fmpy
 import pytest
 
 from ndob_fmu.errors import CouplingError, UsageError
-from ndob_fmu.packages import with_start_values
+from ndob_fmu.packages import fmu_with_start_values
 from tests.helpers.clean_process import fmpy as fmpy_command
 from tests.helpers.fmi_instance import ERROR, OK, opened
 from tests.helpers.native_host import compile_host, unpack
@@ -21,7 +21,7 @@ PAPER = {"method": 1, "pi_start": 1e3, "pi_end": 1e6, "motor_torque": 0.1 + 0.2,
 @pytest.fixture
 def paper(flexible_joint, tmp_path):
     path = tmp_path / "Paper.fmu"
-    path.write_bytes(with_start_values(flexible_joint.observer, PAPER))
+    path.write_bytes(fmu_with_start_values(flexible_joint.observer, PAPER))
     return path
 
 
@@ -64,8 +64,8 @@ def test_the_same_values_give_the_same_bytes_and_others_another_guid(flexible_jo
     guids = set()
     for value in (1e3, 1e4, 1e3):
         path = tmp_path / "one.fmu"
-        path.write_bytes(with_start_values(flexible_joint.observer, {"pi_start": value}))
-        again = with_start_values(flexible_joint.observer, {"pi_start": value})
+        path.write_bytes(fmu_with_start_values(flexible_joint.observer, {"pi_start": value}))
+        again = fmu_with_start_values(flexible_joint.observer, {"pi_start": value})
         assert path.read_bytes() == again
         guids.add(fmpy.read_model_description(path).guid)
         with zipfile.ZipFile(path) as archive:
@@ -76,14 +76,14 @@ def test_the_same_values_give_the_same_bytes_and_others_another_guid(flexible_jo
 
 def test_values_on_values_add_up(paper, tmp_path):
     again = tmp_path / "again.fmu"
-    again.write_bytes(with_start_values(paper, {"pi_end": 1e7}))
+    again.write_bytes(fmu_with_start_values(paper, {"pi_end": 1e7}))
     starts = {v.name: v.start for v in fmpy.read_model_description(again).modelVariables}
     assert (float(starts["pi_start"]), float(starts["pi_end"])) == (1e3, 1e7)
 
 
 def test_a_value_out_of_its_range_is_refused_at_the_start_as_if_it_had_been_set(flexible_joint, tmp_path):
     path = tmp_path / "wrong.fmu"
-    path.write_bytes(with_start_values(flexible_joint.observer, {"pi_end": -1.0}))
+    path.write_bytes(fmu_with_start_values(flexible_joint.observer, {"pi_end": -1.0}))
     with opened(path) as one:
         assert one.setupExperiment(startTime=0.0) == OK
         assert one.enterInitializationMode() == OK
@@ -99,7 +99,7 @@ def test_an_fmu_of_others_is_left_as_it_is(flexible_joint, tmp_path):
         for name in source.namelist():
             if name != "resources/start_values.json":
                 target.writestr(name, source.read(name))
-    assert with_start_values(stock, {"load_torque": 1.0}) == stock.read_bytes()
+    assert fmu_with_start_values(stock, {"load_torque": 1.0}) == stock.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -112,4 +112,4 @@ def test_an_fmu_of_others_is_left_as_it_is(flexible_joint, tmp_path):
 )
 def test_what_cannot_be_a_start_value_is_refused_in_one_line(flexible_joint, values, error, says):
     with pytest.raises(error, match=says):
-        with_start_values(flexible_joint.observer, values)
+        fmu_with_start_values(flexible_joint.observer, values)

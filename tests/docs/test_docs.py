@@ -176,7 +176,7 @@ def _short(number):
 
 def test_the_measures_and_entries_of_studies_are_all_documented():
     from ndob_fmu.study.measures import TAKES
-    from ndob_fmu.study.read import _SECTIONS
+    from ndob_fmu.study.study_file import _SECTIONS
 
     page = (DOCS / "studies.md").read_text("utf-8")
     assert [name for name in (*TAKES, *_SECTIONS) if not re.search(rf"`\[?{name}\]?`", page)] == []

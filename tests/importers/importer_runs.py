@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ndob_fmu.cosim import FmuComponent, System
-from ndob_fmu.packages import build_ssp, with_start_values, write_ssp
+from ndob_fmu.packages import build_ssp, fmu_with_start_values, write_ssp
 from ndob_fmu.support.shipped import shipped_folder
 from tests.helpers import fmi_instance
 from tests.helpers.clean_process import ENVIRONMENT, run_clean
@@ -141,7 +141,7 @@ def in_environment(tool: str, study: Study, folder: Path) -> Rows:
     if tool == "gemseo-fmu":  # which sets what it is given also after initialization, where parameters are fixed
         inputs = {v.name for v in FmuComponent(path).variables if v.causality == "input"}
         parameters = {port: v for port, v in study.starts.items() if port.removeprefix(f"{name}.") not in inputs}
-        fmu.write_bytes(with_start_values(path, {p.removeprefix(f"{name}."): v for p, v in parameters.items()}))
+        fmu.write_bytes(fmu_with_start_values(path, {p.removeprefix(f"{name}."): v for p, v in parameters.items()}))
         study = replace(study, starts={port: v for port, v in study.starts.items() if port not in parameters})
     else:  # which read every output as a Real
         command = shutil.which("fmutool", path=str(Path(sys.executable).parent))

@@ -14,11 +14,11 @@ from fmpy.fmi1 import FMICallException
 
 from ndob_fmu.cosim.component import Ended, Value, Variable, recordable
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
-from ndob_fmu.cosim.fmi.archive import open_archive
 from ndob_fmu.cosim.fmi.buffers import Buffer, buffers, fmi_call
 from ndob_fmu.cosim.fmi.instance import NoInstanceError, instantiate
 from ndob_fmu.cosim.fmi.log import FmuLog
 from ndob_fmu.cosim.fmi.model_description import read_description
+from ndob_fmu.cosim.fmi.zip_archive import open_archive
 from ndob_fmu.errors import NdobError, SimulationError
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.temporary import make_folder, remove_folder

@@ -11,7 +11,7 @@ from fmpy.model_description import read_model_description
 
 from ndob_fmu.cosim.component import Variable
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
-from ndob_fmu.cosim.fmi.archive import open_archive
+from ndob_fmu.cosim.fmi.zip_archive import open_archive
 from ndob_fmu.cosim.values import convert, finite_number
 from ndob_fmu.errors import CouplingError, some_of
 from ndob_fmu.support.units import BASE_UNITS, BaseUnit

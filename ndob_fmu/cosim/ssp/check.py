@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ndob_fmu.cosim.fmi.archive import Archive, open_archive
-from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
+from ndob_fmu.cosim.fmi.zip_archive import Archive, open_archive
+from ndob_fmu.cosim.ssp.read_package import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX
 from ndob_fmu.cosim.ssp.timing import read_experiment
 from ndob_fmu.cosim.system.loops import algebraic_loops

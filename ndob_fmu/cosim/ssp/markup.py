@@ -37,7 +37,7 @@ def annotate(parent: Element, tool: str, *names: str) -> Element:
     return element
 
 
-def text(element: Element) -> bytes:
+def file_text(element: Element) -> bytes:
     """Return the file of an element, the same for the same element."""
     etree.indent(element)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + bytes(etree.tostring(element, encoding="UTF-8")) + b"\n"

@@ -9,9 +9,9 @@ from typing import TypeAlias
 from urllib.parse import unquote
 
 from ndob_fmu.cosim.component import Value
-from ndob_fmu.cosim.fmi.archive import open_archive
+from ndob_fmu.cosim.fmi.zip_archive import open_archive
 from ndob_fmu.cosim.ssp.file_names import plain
-from ndob_fmu.cosim.ssp.read import Package, read_components, read_system
+from ndob_fmu.cosim.ssp.read_package import Package, read_components, read_system
 from ndob_fmu.cosim.ssp.schema import ROOTS_BY_SUFFIX, SSD_NAME, Element, child, parse
 from ndob_fmu.cosim.ssp.structure import components
 from ndob_fmu.cosim.ssp.timing import read_experiment

@@ -17,7 +17,7 @@ from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
 from ndob_fmu.cosim.ssp import markup
 from ndob_fmu.cosim.ssp.file_names import FileNames, plain
-from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, tag, text
+from ndob_fmu.cosim.ssp.markup import TOOLS, add, annotate, file_text, tag
 from ndob_fmu.cosim.ssp.pack import Restart, as_built, write_package
 from ndob_fmu.cosim.ssp.schema import SSD_NAME, Element
 from ndob_fmu.cosim.ssp.supported import FMU_TYPE
@@ -42,13 +42,13 @@ def write_system(
     """Write the package; `ndob_fmu.write_ssp` documents arguments and errors."""
     if path.suffix != ".ssp":
         raise UsageError.report(str(path), expected="the path of an .ssp", received=repr(path.suffix))
-    files = describe(system, path.stem, experiment, parameter_set, description)
+    files = description_files(system, path.stem, experiment, parameter_set, description)
     fmus = _fmus(system)
     files |= {entry: fmus[name].read_bytes() for name, entry in _entries(fmus).items()}
     return write_package(path, files, restart)
 
 
-def describe(
+def description_files(
     system: System, name: str, experiment: DefaultExperiment, parameter_set: str, description: str
 ) -> dict[str, bytes]:
     """Return the XML files of the package by their names.
@@ -130,7 +130,7 @@ class _Writer:
             add(information, "oms:FixedStepMaster", description="oms-ma", **times)
         self._units.define(root, "ssd:Units")
         _experiment(root, experiment)
-        return {name: text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
+        return {name: file_text(element) for name, element in {SSD_NAME: root, **self._files}.items()}
 
     def _component(
         self, elements: Element, name: str, source: str, values: Mapping[str, Value], step_size: float | None

@@ -12,7 +12,7 @@ from ndob_fmu.errors import some_of
 
 
 @dataclass(frozen=True)
-class Loop:
+class AlgebraicLoop:
     """An algebraic loop.
 
     ports: outputs and inputs in the order of the signal, beginning with an output; the last drives the first.
@@ -27,20 +27,20 @@ class Loop:
         return some_of(map(str, (*self.ports, self.ports[0])), between=" → ")
 
 
-def algebraic_loops(system: System, *, initial: bool) -> tuple[Loop, ...]:
+def algebraic_loops(system: System, *, initial: bool) -> tuple[AlgebraicLoop, ...]:
     """Return the loops in the system's connections and its components' dependencies.
 
     initial: those of the initialization, else those of the communication points. A shortest loop is named for every
     output that lies on one, each output in one loop only; a declared loop goes before one that may not exist.
     """
-    found: list[Loop] = []
+    found: list[AlgebraicLoop] = []
     for declared in (True, False):
         graph = _graph(system, initial, declared)
         for port in graph:
             named = any(port in loop.ports for loop in found)
             ports = () if named or system.variable(port).causality != "output" else _shortest(graph, port)
             if ports:
-                found.append(Loop(ports, declared))
+                found.append(AlgebraicLoop(ports, declared))
     return tuple(found)
 
 

@@ -18,7 +18,7 @@ from ndob_fmu.errors import CouplingError, NdobError, UsageError
 _MOST_ENTRIES = 20_000
 _MOST_IN_DIRECTORY = 16 * 2**20  # bytes of the table of contents; an entry takes 46 and its name
 _MOST_UNPACKED = 4 * 2**30  # bytes
-_KEPT_FREE = 64 * 2**20  # bytes of the disk that an archive may not take
+KEPT_FREE = 64 * 2**20  # bytes of the disk that an archive may not take
 _MOST_IN_XML = 64 * 2**20  # bytes; a tree of it takes some ten times as much memory
 _LONGEST_NAME = 255  # bytes of a file's name, the most that common file systems take
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -85,7 +85,7 @@ class Archive:
             self._extract(name, folder)
 
     def _require_space(self, folder: str | Path, entries: list[zipfile.ZipInfo]) -> None:
-        needed = sum(entry.file_size for entry in entries) + _KEPT_FREE
+        needed = sum(entry.file_size for entry in entries) + KEPT_FREE
         free = shutil.disk_usage(folder).free
         if needed > free:
             raise UsageError.report(

@@ -13,8 +13,8 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
-from ndob_fmu.cosim.fmi.archive import Archive, open_archive
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
+from ndob_fmu.cosim.fmi.zip_archive import Archive, open_archive
 from ndob_fmu.cosim.ssp.parameters import start_values
 from ndob_fmu.cosim.ssp.read_structure import read_structure
 from ndob_fmu.cosim.ssp.scaling import Units, read_units

@@ -11,13 +11,13 @@ from typing import Any
 from ndob_fmu.cosim import System, Value, open_system
 from ndob_fmu.cosim.master.schemes import SCHEMES
 from ndob_fmu.errors import UsageError, nearest, one_of
-from ndob_fmu.study.checks import check_coupling, check_names, check_times, outputs, resolver, unit_of
+from ndob_fmu.study.checks import check_coupling, check_names, check_times, outputs, resolver, unit_of_name
 from ndob_fmu.study.columns import RESERVED, over_time
 from ndob_fmu.study.measures import SETTLING_TIME, TAKES, Measure
 from ndob_fmu.study.points import Points
 from ndob_fmu.study.read_tables import KINDS, flat, read_tables
 from ndob_fmu.study.study import STEP_SIZE, Simulation, Study
-from ndob_fmu.study.toml_file import Section, read_toml
+from ndob_fmu.study.toml_file import TomlTable, read_toml
 
 _SECTIONS = ("system", "seed", "record", "simulation", "fixed", *KINDS, "measures")
 
@@ -57,7 +57,7 @@ def read_study(path: str | Path) -> Study:
     return Study(path.stem, str(system), simulation, fixed, points, measures, record, units, files)
 
 
-def _simulation(section: Section, folder: Path) -> Simulation:
+def _simulation(section: TomlTable, folder: Path) -> Simulation:
     section.only([entry.name for entry in fields(Simulation)])
     schemes = one_of("scheme", map(repr, SCHEMES))
     scheme = section.get("scheme", str, "jacobi", schemes)
@@ -82,7 +82,7 @@ def _simulation(section: Section, folder: Path) -> Simulation:
     )
 
 
-def _check_points(file: Section, simulation: Simulation, points: Points, fixed: Mapping[str, Value]) -> None:
+def _check_points(file: TomlTable, simulation: Simulation, points: Points, fixed: Mapping[str, Value]) -> None:
     if not points.names:
         received = "none of them"
         expected = one_of("table", (f"[{kind}]" for kind in KINDS))
@@ -99,7 +99,7 @@ def _check_points(file: Section, simulation: Simulation, points: Points, fixed: 
         raise UsageError.report(file.where, expected=f"{STEP_SIZE} in [simulation]", received=f"{STEP_SIZE} in [fixed]")
 
 
-def _measures(section: Section, resolve: Callable[[str, Any], str]) -> Iterator[tuple[str, Measure]]:
+def _measures(section: TomlTable, resolve: Callable[[str, Any], str]) -> Iterator[tuple[str, Measure]]:
     for name in section.entries:
         entry = section.section(name)
         entry.only([each.name for each in fields(Measure)])
@@ -119,14 +119,14 @@ def _measures(section: Section, resolve: Callable[[str, Any], str]) -> Iterator[
         )
 
 
-def _share(entry: Section) -> float:
+def _share(entry: TomlTable) -> float:
     within: float = entry.number("within", 0.02)
     if not within > 0:
         raise entry.wrong("within", "a positive share", within)
     return within
 
 
-def _fixed(section: Section) -> Iterator[tuple[str, Value]]:
+def _fixed(section: TomlTable) -> Iterator[tuple[str, Value]]:
     for name, value in flat(section.entries):
         if not isinstance(value, bool | int | float | str):
             likely = "values that vary belong in [grid] or [list]"
@@ -136,7 +136,7 @@ def _fixed(section: Section) -> Iterator[tuple[str, Value]]:
         yield name, value
 
 
-def _check_begin(file: Section, measures: Mapping[str, Measure], last: float) -> None:
+def _check_begin(file: TomlTable, measures: Mapping[str, Measure], last: float) -> None:
     for name, measure in measures.items():
         if measure.after is not None and measure.after > last + 1e-12:
             where = f"{file.where}, [measures], [{name}], after"
@@ -146,12 +146,12 @@ def _check_begin(file: Section, measures: Mapping[str, Measure], last: float) ->
 
 
 def _units(system: System, points: Points, measures: Mapping[str, Measure], record: tuple[str, ...]) -> dict[str, str]:
-    found = {name: "s" if name == STEP_SIZE else unit_of(system, name) for name in (*points.names, *record)}
-    found |= {name: "s" if m.take == SETTLING_TIME else unit_of(system, m.of) for name, m in measures.items()}
+    found = {name: "s" if name == STEP_SIZE else unit_of_name(system, name) for name in (*points.names, *record)}
+    found |= {name: "s" if m.take == SETTLING_TIME else unit_of_name(system, m.of) for name, m in measures.items()}
     return {name: unit for name, unit in found.items() if unit}
 
 
-def _check_columns(file: Section, points: Points, measures: Mapping[str, Measure], record: tuple[str, ...]) -> None:
+def _check_columns(file: TomlTable, points: Points, measures: Mapping[str, Measure], record: tuple[str, ...]) -> None:
     seen = {*RESERVED}
     for where, names in (
         ("parameters", points.names),
