@@ -36,7 +36,7 @@ class StepDesign:
         """The step size (s)."""
         return self.stationary.discrete.H
 
-    @property
+    @cached_property
     def source_bound(self) -> Array:
         """Bound (q2,) of what drives the disturbance in the model: of d^{(r)}, of d itself for r = 0."""
         return self.known.disturbance_rate if self.stationary.system.order else self.known.disturbance_bound
@@ -50,6 +50,22 @@ class StepDesign:
     def residual_std(self) -> Array:
         """The standard deviation (p,) of residuals once the gain has converged."""
         return steady_residual_std(self.stationary, self.source_bound)
+
+    @cached_property
+    def steady_innovation(self) -> Array:
+        """Twice the largest steady innovation (p,) that the class of disturbances causes."""
+        return np.asarray(2.0 * self.stationary.steady_innovation @ self.source_bound)
+
+    @cached_property
+    def prior_disturbance_variance(self) -> Array:
+        """The variance (q2,) of d̂ in the converged covariance before a sample; empty for r = 0."""
+        selector = self.stationary.system.selector
+        return np.zeros(0) if selector is None else squared_norms(selector @ self.stationary.prior_factor)
+
+    @cached_property
+    def prior_output_variance(self) -> Array:
+        """The variance (p,) of C ξ̂⁻ in the converged covariance before a sample."""
+        return squared_norms(self.stationary.system.C @ self.stationary.prior_factor)
 
     @cached_property
     def f_error_fades(self) -> bool:
@@ -80,10 +96,9 @@ class StepDesigns:
         Raises DesignError where there is none.
         """
         tuned_for = tuned_at or H
-        intensities = self.intensities(tuned_for)
 
         def stationary() -> StationaryDesign:
-            return stationary_design(self.system, H, self.known.R_factor, intensities, self.alpha)
+            return stationary_design(self.system, H, self.known.R_factor, self.intensities(tuned_for), self.alpha)
 
         def design() -> StepDesign:
             return StepDesign(_DESIGNS((H, tuned_for, self._key), stationary), self.known, self.f_states)
@@ -108,3 +123,8 @@ class StepDesigns:
         """All that intensities and stationary designs depend on besides the step."""
         key: tuple[object, ...] = by_value((self.system, self.known, self.x_std, self.alpha, self.pi))
         return key
+
+
+def squared_norms(rows: Array) -> Array:
+    """Return the squared norms (k,) of rows (k,·): variances, where these are of a factor of a covariance."""
+    return np.asarray(np.sum(rows * rows, axis=1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.step_designs import StepDesign
+from ndob_fmu.runtime.design.step_designs import StepDesign, squared_norms
 
 
 def disturbance_std(factor: Array, design: StepDesign) -> Array:
@@ -13,7 +13,7 @@ def disturbance_std(factor: Array, design: StepDesign) -> Array:
     selector = design.stationary.system.selector
     if selector is None:
         return np.asarray(np.minimum(design.disturbance_std, design.known.disturbance_bound))
-    return _with_excess(design.disturbance_std, selector, factor, design)
+    return _with_excess(design.disturbance_std, selector @ factor, design.prior_disturbance_variance)
 
 
 def held_disturbance_std(before: Array, design: StepDesign, H: float) -> Array:
@@ -26,11 +26,11 @@ def held_disturbance_std(before: Array, design: StepDesign, H: float) -> Array:
 
 def residual_std(factor: Array, design: StepDesign) -> Array:
     """Return the standard deviation (p,) of a residual, for the factor (N,N) of the covariance before the sample."""
-    return _with_excess(design.residual_std, design.stationary.system.C, factor, design)
+    C = design.stationary.system.C
+    return _with_excess(design.residual_std, C @ factor, design.prior_output_variance)
 
 
-def _with_excess(converged_std: Array, rows: Array, factor: Array, design: StepDesign) -> Array:
-    """Return standard deviations of rows (·,N) times ξ̃, for the factor (N,N) of the covariance of ξ̃."""
-    own, converged = rows @ factor, rows @ design.stationary.prior_factor
-    excess = np.maximum(np.sum(own * own, axis=1) - np.sum(converged * converged, axis=1), 0.0)
+def _with_excess(converged_std: Array, rows: Array, converged_variance: Array) -> Array:
+    """Return standard deviations (k,), for rows (k,N) of the covariance's factor, and what is converged (k,)."""
+    excess = np.maximum(squared_norms(rows) - converged_variance, 0.0)
     return np.asarray(np.sqrt(converged_std**2 + excess))

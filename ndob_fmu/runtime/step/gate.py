@@ -65,7 +65,7 @@ def judge(
 def gate(S_factor: Array, design: StepDesign) -> Array:
     """Return the largest innovation (p,) that noise and the class of disturbances explain without any jump."""
     noise = np.linalg.norm(S_factor, axis=1) / design.stationary.intensities.scale
-    return np.asarray(_GATE * noise + 2.0 * design.stationary.steady_innovation @ design.source_bound)
+    return np.asarray(_GATE * noise + design.steady_innovation)
 
 
 def jump_gate(last: Array, S_factor: Array, design: StepDesign) -> Array:

@@ -203,7 +203,7 @@ class SampledObserver:
             corrected = correct(state, xi_hat, sample, design, self.start, H)
         else:
             corrected = leave_out(state, xi_hat, sample)
-        after = self._predicted(state, corrected, design, plan, H)
+        after = self._predict(state, corrected, design, plan, H)
         return after, Estimate(
             x_hat=after.xi_hat[: self._n],
             d_hat=after.d_hat,
@@ -215,7 +215,7 @@ class SampledObserver:
             valid=corrected.valid,
         )
 
-    def _predicted(
+    def _predict(
         self, before: SampledObserverState, corrected: Corrected, design: StepDesign, plan: StepPlan, H: float
     ) -> SampledObserverState:
         """Return the state a step H (s) after the sample.
