@@ -62,10 +62,10 @@ def design(
     equations, q = compile_model(model), len(model.disturbances)
     bound = _for_each("disturbance bound", disturbance_bound, q, equations.disturbance_bound)
     if order == model.observer.disturbance_order and disturbance_bound is None:
-        usual = equations.disturbance_rate
+        default = equations.disturbance_rate
     else:
-        usual = tuple(sine_rate(value, order) for value in bound)
-    rate = _for_each("disturbance rate", disturbance_rate, q, usual)
+        default = tuple(sine_rate(value, order) for value in bound)
+    rate = _for_each("disturbance rate", disturbance_rate, q, default)
     return sampled_data_design(
         continuous,
         model,

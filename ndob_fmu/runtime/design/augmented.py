@@ -1,4 +1,4 @@
-"""The plant with its disturbance's derivatives as states, sampled at a step H: the model of the everyday observer.
+"""The plant with its disturbance's derivatives as states, sampled at a step H: the model of method 2.
 
     ξ = [x; δ₁ … δ_r],   δ₁ = d,  δ_i' = δ_{i+1},  δ_r' = w_d      disturbance order r = 1, 2, 3
     ξ = x                                                          r = 0: white noise on all of G, the paper's design
@@ -19,9 +19,14 @@ from ndob_fmu.runtime.numerics.exponential import exponential
 
 @dataclass(frozen=True)
 class Augmented:
-    """A (N,N) and C (p,N) of ξ, N = n + r q2; noise (N,·) and f_noise (N,·) are the channels of s and s_f.
+    """The augmented system of ξ, N = n + r q2.
 
-    selector (q2,N) picks d = δ₁ out of ξ; it is None for r = 0, where d is read from the output error.
+    linear: the plant's matrices.
+    order: r.
+    A (N,N), C (p,N): ξ' = A ξ + …, y = C ξ.
+    noise (N,·): the channel of the noise of intensity s.
+    f_noise (N,·): the channel of the noise of intensity s_f.
+    selector (q2,N): picks d = δ₁ out of ξ; None for r = 0, where d is read from the output error.
     """
 
     linear: LinearPart
@@ -35,11 +40,15 @@ class Augmented:
 
 @dataclass(frozen=True)
 class Discrete:
-    """One step H: ξ⁺ = Phi ξ + drive w̄ + noise, with w̄ (q_d,) the constant value of w_d (of w for r = 0) over the step.
+    """One step H (s): ξ⁺ = Phi ξ + drive w̄ + noise, with w̄ the constant value of w_d (of w for r = 0) over the step.
 
-    Phi (N,N); noise_factor (N,·) with covariance noise_factor noise_factorᵀ per unit of s, f_noise_factor per s_f;
-    filter_phi is Phi with the α of the paper's design in it (r = 0), which only the gain is computed with;
-    held_disturbance (n,q2) and held_f (N,q1) are what d = 1 and f = 1 over the step add to x and to ξ.
+    Phi (N,N): the transition of ξ.
+    filter_phi (N,N): Phi with the α of the paper's design in it (r = 0), for the gain only.
+    noise_factor (N,·): of the covariance of the noise over the step, per unit of s.
+    f_noise_factor (N,·): the same per unit of s_f.
+    drive (N,q_d): what w̄ = 1 adds to ξ.
+    held_disturbance (n,q2): what d = 1 over the step adds to x.
+    held_f (N,q1): what f = 1 over the step adds to ξ.
     """
 
     H: float

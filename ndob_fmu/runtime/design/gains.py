@@ -1,4 +1,4 @@
-"""The paper's observer gain: L and W of eqs. (7)–(9), (24), and the DC-exact M that may stand in for √π W."""
+"""The paper's observer gain: L and W of eqs. (7)–(9), (24), and M, used instead of √π W, exact at DC."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from ndob_fmu.runtime.numerics.riccati import RiccatiSolution, solve_riccati
 
 @dataclass(frozen=True)
 class Gains:
-    """The gain at one π. L (n,p) of eq. (7); W (q,p), W Wᵀ = I, of eq. (9); M (q,p), exact at DC."""
+    """The gain at one π.
+
+    riccati: the solution of eq. (8)/(24).
+    L (n,p): of eq. (7).
+    W (q,p): of eq. (9), W Wᵀ = I.
+    M (q,p): used instead of √π W; exact for a constant d.
+    """
 
     riccati: RiccatiSolution = field(repr=False)
     L: Array

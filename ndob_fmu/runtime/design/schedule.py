@@ -44,6 +44,10 @@ class GainTable:
 
     The derivative solves a Lyapunov equation, A_c Q' + Q' A_cᵀ + π G Gᵀ = 0 with A_c = A + αI − L C. At eight knots a
     decade the interpolated gain is within 1e-5 of the Riccati solution, relative to the largest entry of its column.
+
+    log_pi (k,): the knots, ln π.
+    L, dL (k,n,p): the gain and its derivative at the knots.
+    coordinates (n,n): those of `RiccatiSolution` at the last knot.
     """
 
     log_pi: Array = field(repr=False)

@@ -1,11 +1,11 @@
-"""From what users know to what the design needs: noise and pace of the disturbance → noise intensities.
+"""The noise intensities of the design, from what users know: the noise of the samples and the rate of the disturbance.
 
-Known are the noise σ of a sample and a bound D of the disturbance's r-th derivative (of the first, for r = 0). A fast
+Users know the noise σ of a sample and a bound D of the disturbance's r-th derivative (of the first, for r = 0). A fast
 observer follows the disturbance but passes the noise, a slow one the reverse. The design minimises the sum of both,
 
     J(s) = Σ_i (|E_i(s)| D + std_i(s)) / D₀ᵢ,
 
-|E| D being the error that a constant r-th derivative leaves behind, and std the noise of d̂. The expert's knob is
+where |E| D is the error that a constant r-th derivative causes, and std the noise of d̂. Experts may set instead
 π = s / (σ² H), the ratio of the intensities of disturbance and measurement noise in continuous time, eq. (8).
 """
 
@@ -25,7 +25,7 @@ from ndob_fmu.runtime.linear_part import LinearPart
 # f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
 # standard deviations of the noise makes of it.
 _F_ERROR_IN_SIGMA = 10.0
-# Bandwidths over 1/H that are looked at; beyond the last one nothing changes any more but rounding.
+# The range of bandwidths over 1/H; beyond the last one only rounding changes the gain.
 _SLOWEST, _FASTEST = 1e-4, 4.0
 _SCAN = 10
 # The logarithm of the cost is compared this far on both sides of its minimum, in the logarithm of the bandwidth. Where
@@ -40,8 +40,10 @@ _SAME_PLACE = 1e-9
 class Knowledge:
     """What the user knows, in the units of outputs and disturbances.
 
-    R_factor (p,p): diagonal, standard deviation of each output's sample; disturbance_bound D₀ (q2,) and
-    disturbance_rate (q2,) bound |d| and |d^{(r)}| (|ḋ| for r = 0); lipschitz: γ.
+    R_factor (p,p): diagonal, standard deviation of each output's sample.
+    disturbance_bound (q2,): D₀, the bound of |d|.
+    disturbance_rate (q2,): the bound of |d^{(r)}|, of |ḋ| for r = 0.
+    lipschitz: γ.
     """
 
     R_factor: Array
@@ -53,14 +55,14 @@ class Knowledge:
 def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledge) -> Intensities:
     """Return the intensities that minimise J at the step H, on the scale of the disturbance.
 
-    Where samples have hardly any noise only the ratio of the intensities counts, and no more once it is large. The
-    scale is such that white noise on w_d is in a step as large as D (for r = 0, on G, as D₀).
+    Where samples have hardly any noise, only the ratio of the intensities counts, and a large ratio no longer does. The
+    scale makes the white noise on w_d over a step as large as D (for r = 0, that on G as large as D₀).
     """
 
     def cost(log_bandwidth: float) -> float:
         try:
             design = stationary_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
-        except DesignError:  # at the far ends of the range; if it is everywhere, the final design says so
+        except DesignError:  # at the far ends of the range; where every design fails, the final one raises
             return np.inf
         with np.errstate(invalid="ignore"):
             bias, noise = predicted_error(design, known.disturbance_rate)
@@ -114,7 +116,7 @@ def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float,
 
 
 def steady_std(design: StationaryDesign, rate: Array) -> Array:
-    """Return the one-sigma error bar (q2,) of d̂ a step ahead, for a disturbance of the rate (q2,) of its class.
+    """Return the one-sigma error bar (q2,) of d̂ a step ahead, for disturbances of at most the rate (q2,).
 
     The bias counts as a number that may lie anywhere within its bounds: its variance is a third of their square.
     """
@@ -122,13 +124,13 @@ def steady_std(design: StationaryDesign, rate: Array) -> Array:
     return np.asarray(np.hypot(design.noise_std(ahead=True), bias / np.sqrt(3.0)))
 
 
-def steady_residual_std(design: StationaryDesign, usual: Array) -> Array:
-    """Return the standard deviation (p,) of residuals once the gain is frozen; `usual` (q2,) bounds the disturbance.
+def steady_residual_std(design: StationaryDesign, source_bound: Array) -> Array:
+    """Return the standard deviation (p,) of residuals once the gain is frozen; `source_bound` (q2,) as in `StepDesign`.
 
     What the disturbance leaves in the residuals counts like the bias of `steady_std`.
     """
-    left = design.steady_innovation @ usual
-    return np.asarray(np.hypot(design.innovation_noise_std(), left / np.sqrt(3.0)))
+    bias = design.steady_innovation @ source_bound
+    return np.asarray(np.hypot(design.innovation_noise_std(), bias / np.sqrt(3.0)))
 
 
 def sine_rate(bound: float, order: int) -> float:
@@ -137,14 +139,15 @@ def sine_rate(bound: float, order: int) -> float:
 
 
 def predicted_error(design: StationaryDesign, rate: Array) -> tuple[Array, Array]:
-    """Return bias and noise (q2,) of d̂ at the sample, for a disturbance of the rate (q2,) of its class."""
+    """Return bias and noise (q2,) of d̂ at the sample, for disturbances of at most the rate (q2,)."""
     return design.bias_gain() @ rate, design.noise_std()
 
 
 def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
     """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise.
 
-    Raises DesignError where no output sees it, as with parameters of such sizes that all is lost in rounding.
+    Raises DesignError where no output depends on it, or where parameters are so far out of proportion that rounding
+    hides it.
     """
     A_norm = float(np.linalg.norm(linear.A, 2))
     largest = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C), 2) * np.linalg.norm(channel))
@@ -164,8 +167,8 @@ def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tupl
 def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
     """Return the place of the least cost on [low, high], to the accuracy of the costs.
 
-    A scan finds the neighbourhood. In it the place is sought where the cost is the same at both sides: by the method of
-    false position (Illinois), as comparisons of costs near their minimum would be decided by rounding errors.
+    A scan finds the neighbourhood. There the method of false position (Illinois) finds the place where the cost is the
+    same on both sides: comparisons of costs near the minimum would depend on rounding errors.
     """
 
     def slope(place: float) -> float:

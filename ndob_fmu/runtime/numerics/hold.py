@@ -3,8 +3,9 @@
 Holding the last sample is useless here: at π = 1e12 the estimate is 1e6 times an output error, and a held output is
 wrong by its rate times the step. A polynomial of degree k is wrong by O(H^{k+1}).
 
-Samples that lie close together, as around a very short step, must not be continued over a long one: rounding errors
-grow with the square of the ratio. So more samples are kept than a polynomial needs, and each step chooses its own.
+A polynomial through samples that lie close together, as around a very short step, must not be continued over a long
+step: rounding errors grow with the square of the ratio. So more samples are kept than a polynomial needs, and each step
+chooses its own.
 """
 
 from __future__ import annotations
@@ -21,7 +22,11 @@ _LEAST_SPACING = 0.1
 
 @dataclass(frozen=True)
 class History:
-    """Past samples, newest first. ages (k,) in s, 0 for a sample taken now; samples (k,p)."""
+    """Past samples, newest first.
+
+    ages (k,): in s, 0 for a sample taken now.
+    samples (k,p): the measurements.
+    """
 
     ages: Array = field(metadata={"grows": True})
     samples: Array = field(metadata={"grows": True})
@@ -36,7 +41,8 @@ class History:
     def with_sample(self, y: Array, degree: int) -> History:
         """Return the history after a sample y (p,) taken now, of at most 2 (degree + 1) samples.
 
-        The newest degree + 1 stay. Of the others the one goes that lies closest to the next newer one for its age.
+        The newest degree + 1 stay. Of the others the one is dropped whose distance to the next newer one is smallest
+        relative to its age.
         """
         ages, samples = np.concatenate([[0.0], self.ages]), np.vstack([y, self.samples])
         if len(ages) > 2 * (degree + 1):

@@ -1,4 +1,4 @@
-"""The observer Riccati equation of the paper, eqs. (8) and (24), solved so that the answer can be trusted.
+"""The observer Riccati equation of the paper, eqs. (8) and (24), solved with a checked residual.
 
     (A + αI) Q + Q (A + αI)ᵀ − Q Cᵀ C Q + π G Gᵀ = 0
 
@@ -58,7 +58,7 @@ class RiccatiSolution:
 def solve_riccati(A: Array, C: Array, G: Array, *, pi: float, alpha: float) -> RiccatiSolution:
     """Return the stabilising solution of eq. (8)/(24) for A (n,n), C (p,n), G (n,q), π > 0, α > 0.
 
-    Raises DesignError where the relative residual cannot be brought to 1e-8.
+    Raises DesignError where the relative residual stays above 1e-8.
     """
     return next(solve_riccati_over(A, C, G, pis=np.array([pi]), alpha=alpha))
 
@@ -89,7 +89,7 @@ def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float
             balanced=Q_scaled,
             residual=max(
                 _relative_residual(Q_scaled, *_terms(shifted, C_b, G_b, pi, scale)),
-                # Q was rounded on its way back; in dense coordinates at extreme π that alone can spoil the gain.
+                # Rounding of Q in the states x alone can spoil the gain at extreme π.
                 _relative_size((A + alpha * np.eye(len(A))) @ Q, Q @ C.T @ (C @ Q), pi * G @ G.T),
             ),
         )

@@ -23,9 +23,11 @@ _REWEIGHTINGS = 20
 
 @dataclass(frozen=True)
 class Balanced:
-    """A system in units of its own: A (n,n), G (n,q), C (p,n) with entries as near to one as diagonal scaling allows.
+    """A system in units in which its entries are as near to one as diagonal scaling allows.
 
-    `states` (n,) holds S of x = S z; `rate` (1/s) is the unit of time: λ of the plant is rate · λ of `A`.
+    A (n,n), G (n,q), C (p,n): its matrices.
+    states (n,): S of x = S z.
+    rate (1/s): the unit of time: λ of the plant is rate · λ of `A`.
     """
 
     A: Array
@@ -40,7 +42,7 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
 
     The logarithms of the non-zero entries are fitted by least squares, so that the result is the same whatever units
     the plant was written in, up to the rounding of each scale to a power of two, which keeps the scaling exact. The fit
-    is Huber's: an entry that is a rounding error, far below all others, has no more say than any other.
+    is Huber's, so that an entry that is a rounding error, far below all others, has no more weight than any other.
     """
     n, q, p = len(A), G.shape[1], len(C)
     entries, rows = [], []
@@ -77,7 +79,7 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
 def pencil_zeros(A: Array, G: Array, C: Array) -> tuple[ComplexArray, int]:
     """Return the finite zeros of a balanced system and the normal rank of C (sI − A)⁻¹ G.
 
-    Where that rank is below q, there are no zeros to speak of and the array is empty.
+    Where that rank is below q, every z is a zero and the array is empty.
     """
     q = G.shape[1]
     D = np.zeros((len(C), q))
@@ -100,8 +102,8 @@ def _remove_infinite_part(
         U, sigma, _ = np.linalg.svd(D)
         rank = int(np.sum(sigma > tolerance))
         C, D = U.T @ C, (U.T @ D)[:rank]
-        at_rest = C[rank:]  # these outputs do not see the input, so the states that they do see must be zero
-        _, sigma, Vt = np.linalg.svd(at_rest)
+        blind = C[rank:]  # these outputs do not depend on the input, so the states that they depend on must be zero
+        _, sigma, Vt = np.linalg.svd(blind)
         seen = int(np.sum(sigma > tolerance))
         if seen == 0:
             return A, B, C[:rank], D
