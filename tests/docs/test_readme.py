@@ -87,6 +87,16 @@ def test_the_figures_of_the_example_in_the_readme_are_those_of_the_demo(shipped)
     shown = verdict(simulate(shipped.systems / "open_loop.ssp"))
     assert shown.settling_time == pytest.approx(float(seconds), abs=0.05)
     assert shown.error[shown.time >= float(since)].max() <= float(error)
+    tuning = (ROOT / "docs" / "tuning.md").read_text("utf-8")
+    observer = (ROOT / "fmus" / "FlexibleJointObserver" / "README.md").read_text("utf-8")
+    grows = re.search(r"From 1 to 10 ms the error in the example grows from ([\d.]+) to ([\d.]+) N·m", tuning).groups()
+    within = re.search(r"At 1 ms d̂ stays within ([\d.]+) N·m, at 10 ms within ([\d.]+) N·m", observer).groups()
+    coarse = verdict(simulate(shipped.systems / "open_loop.ssp", step_size=1e-2))
+    for run, grown, bound in zip((shown, coarse), map(float, grows), map(float, within), strict=True):
+        worst = run.error[run.time >= float(since)].max()
+        assert grown == pytest.approx(worst, rel=0.15)
+        assert worst <= bound
+    assert within[0] == error
     sampled = simulate(
         shipped.systems / "open_loop.ssp", stop_time=1.0, start_values={"observer.method": "sampled_data"}
     )
