@@ -177,8 +177,8 @@ def _edges(code: Code) -> dict[str, set[str]]:
     edges: dict[str, set[str]] = {}
     for module, targets in code.imports.items():
         own = code.folder(module)
-        if own in (*COMMON, PACKAGE, "__main__"):
-            continue
+        if own in (*COMMON, PACKAGE, "__main__") or (own == "fmus" and "slave" not in module):
+            continue  # the tools in fmus/ run beside the package, as tests do
         found = edges.setdefault(own, set())
         for target in targets:
             other = code.folder(target)
@@ -203,7 +203,8 @@ def _reduced(edges: Mapping[str, set[str]]) -> dict[str, set[str]]:
 def _text(code: Code, name: str) -> list[str]:
     says = _SLAVES if name == "fmus" else code.docstring(name)
     inside = code.subfolders(name)
-    folder = name if name in ("cli", "demo") else f"{name}/"
+    is_module = (code.root / PACKAGE / f"{name}.py").is_file()
+    folder = name if is_module else f"{name}/"
     title = folder + (f"    {', '.join(inside)}" if inside else "")
     return [title, *textwrap.wrap(says, 88)]
 
