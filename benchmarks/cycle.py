@@ -19,7 +19,8 @@ from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu import Model, build
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.interface.model_variables import Variable, observer_variables
+from ndob_fmu.interface.model_variables import observer_variables
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
 

@@ -18,7 +18,7 @@ from ndob_fmu.runtime.equations import Equations
 
 @dataclass(frozen=True)
 class ControllerMemory:
-    """The last rest position, and the last finite inputs."""
+    """The last equilibrium, and the last finite inputs."""
 
     target: Target
     inputs: tuple[float, ...]

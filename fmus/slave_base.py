@@ -30,7 +30,7 @@ from fmus.slave_start_values import with_start_values
 from fmus.slave_state import Received, Snapshot, from_bytes, to_bytes
 from fmus.slave_state_faults import same_form, state_fault
 from ndob_fmu.interface.fmi_rules import NOT_SETTABLE, SETTABLE, role
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
 
 # FMI has no functions for Enumerations.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf, isfinite, ulp
 from typing import Any
 
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
 
 # What computing with impossible numbers raises; LinAlgError is a ValueError.

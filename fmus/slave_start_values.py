@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.slave_guards import is_declared
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
 
 FILE = "start_values.json"

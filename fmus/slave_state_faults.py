@@ -14,7 +14,7 @@ import numpy as np
 
 from fmus.slave_guards import TIME_TOLERANCE, experiment_fault, is_declared, parameter_fault, stop_fault
 from fmus.slave_state import Snapshot
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
 
 

@@ -41,12 +41,14 @@ def design_controller(
     """Design a state feedback by the least control effort that puts all poles to the left of −pace (1/s).
 
     It is the gain K of the Riccati equation for A + pace·I without weight on the state: poles to the right of −pace are
-    mirrored at it, the others stay. A and B are linearised where the plant rests without reference and disturbance, or
-    near x0 where there is no such position. regulated: as many states or outputs as there are inputs, by default the
-    first states that are measured. pace: by default 20 over the stop time of the model's experiment.
+    mirrored at it, the others stay. A and B are linearised at the equilibrium with references and disturbances of 0, or
+    at one near x0 if there is none.
 
-    Raises UsageError for a pace or names that cannot be used, ModelError for a plant without inputs, DesignError where
-    it cannot be brought to rest or its unstable part cannot be moved.
+    regulated: as many states or outputs as there are inputs; by default the first states that are measured
+    pace: in 1/s; by default 20 over the stop time of the model's experiment
+
+    Raises UsageError for a pace or names that cannot be used, ModelError for a plant without inputs, DesignError if
+    the plant has no equilibrium or a pole cannot be moved.
     """
     eq = compile_model(model)
     n, m = len(eq.states), len(eq.inputs)

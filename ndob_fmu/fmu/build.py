@@ -8,11 +8,13 @@ from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.fmu.archive import package
-from ndob_fmu.fmu.archive_files import extras
 from ndob_fmu.fmu.bundle import bundle
+from ndob_fmu.fmu.documentation_files import documentation_files
 from ndob_fmu.fmu.fmu_description import FmuDescription
-from ndob_fmu.fmu.manual import Part
-from ndob_fmu.interface.model_variables import Variable, observer_variables, plant_variables
+from ndob_fmu.fmu.icon import draw_icon, model_icon
+from ndob_fmu.fmu.manual import Part, manual
+from ndob_fmu.interface.model_variables import observer_variables, plant_variables
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 
 
@@ -37,5 +39,5 @@ def _build(model: Model, part: Part, variables: tuple[Variable, ...], equations_
         folder / f"{name}.fmu",
         FmuDescription(name, model.description, variables, model.experiment),
         bundle(name, f"{part.lower()}_slave", f"{part}Slave", equations_text, ("EQUATIONS",)),
-        extras(model, part, variables),
+        documentation_files(manual(model, part, variables), draw_icon(model_icon(model, part))),
     )

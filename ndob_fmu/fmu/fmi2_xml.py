@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 import ndob_fmu
 from ndob_fmu.fmu.fmu_description import DeclaredType, FmuDescription, declared_types, type_key
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.equations import Experiment
 from ndob_fmu.support.units import base_unit
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.equations import Experiment
 
 # Modelica's names. A unit that stands for several quantities, like N.m for energy too, has the one that plants mean.

@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 
 Part = Literal["Plant", "Observer"]

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ndob_fmu.fmu.archive import package
-from ndob_fmu.fmu.archive_files import surroundings
 from ndob_fmu.fmu.bundle import bundle
+from ndob_fmu.fmu.documentation_files import documentation_files
 from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.icon import Icon, draw_icon
 from ndob_fmu.fmu.manual import page
-from ndob_fmu.interface import model_variables
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.equations import Experiment
 
 _EXPERIMENT = Experiment(stop_time=10.0, step_size=1e-3)
@@ -61,10 +60,10 @@ def write_component(record: ComponentRecord, slave: str, data: str, arguments: S
         Path(out, f"{record.name}.fmu"),
         FmuDescription(record.name, record.text, record.variables, record.experiment),
         bundle(record.name, f"{module}_slave", f"{slave}Slave", data, arguments),
-        surroundings(page(record.name, record.text, record.page, record.variables), draw_icon(record.icon)),
+        documentation_files(page(record.name, record.text, record.page, record.variables), draw_icon(record.icon)),
     )
 
 
 def _data(variables: Sequence[Variable]) -> str:
     listed = "".join(f"    {variable!r},\n" for variable in variables)
-    return f"from {model_variables.__name__} import Enumeration, Variable\n\nVARIABLES = (\n{listed})\n"
+    return f"from {Variable.__module__} import Enumeration, Variable\n\nVARIABLES = (\n{listed})\n"

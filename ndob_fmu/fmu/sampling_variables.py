@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ndob_fmu.interface.model_variables import Enumeration, Variable, parameter
+from ndob_fmu.interface.variables import Enumeration, Variable, parameter
 from ndob_fmu.runtime.blocks.sampled_measurement import MISSING
 
 _MISSING = Enumeration(

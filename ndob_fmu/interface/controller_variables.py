@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ndob_fmu.interface.model_variables import Variable, parameter
+from ndob_fmu.interface.variables import Variable, parameter
 from ndob_fmu.runtime.blocks.controller import Feedback
 from ndob_fmu.runtime.equations import Equations
 

@@ -7,7 +7,7 @@ nothing.
 
 from __future__ import annotations
 
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 
 # The modes of FMI's state machine, and how a message names an instance in each.
 MODES = {

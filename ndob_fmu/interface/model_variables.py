@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 
+from ndob_fmu.interface.variables import Enumeration, Variable, parameter
 from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.equations import Equations
 
 METHODS = {"paper": 1, "sampled_data": 2}
 _TUNING = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time", "disturbance_order", "noise_std")
 _PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
-
-
-@dataclass(frozen=True)
-class Enumeration:
-    """A type whose values have names.
-
-    name: of the type in the model description
-    items: the value of each item
-    texts: what each item means
-    """
-
-    name: str
-    items: Mapping[str, int]
-    texts: Mapping[str, str]
 
 
 METHOD = Enumeration(
@@ -47,72 +33,6 @@ DISTURBANCE_KIND = Enumeration(
         "chirp": "a sine whose frequency rises from 0 to frequency in 10 s and stays there",
     },
 )
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One FMI variable.
-
-    `depends_on` names the inputs that an output shows already in initialization mode; once stepping, outputs are
-    those of the end of the last step, whatever the inputs become afterwards. `sampled`: a signal that is read as of the
-    start of a step, or made once for each; a value extrapolated into the step would be wrong. `positive`: the minimum,
-    which is 0, is itself not allowed.
-    """
-
-    name: str
-    causality: str
-    description: str
-    type: str = "Real"
-    start: float | int | bool | str | None = None
-    unit: str = ""
-    minimum: float | None = None
-    maximum: float | None = None
-    nominal: float | None = None
-    enumeration: Enumeration | None = None
-    depends_on: tuple[str, ...] = ()
-    sampled: bool = False
-    positive: bool = False
-
-    @property
-    def items(self) -> Mapping[str, int] | None:
-        """The values of an Enumeration by their names; None for other types."""
-        return self.enumeration.items if self.enumeration else None
-
-    @property
-    def variability(self) -> str:
-        """FMI variability: parameters are fixed, numbers that flow are continuous, samples and flags discrete."""
-        if self.causality == "parameter":
-            return "fixed"
-        return "continuous" if self.type == "Real" and not self.sampled else "discrete"
-
-
-def parameter(
-    name: str,
-    start: float | int | bool | str,
-    description: str,
-    *,
-    type: str = "Real",  # noqa: A002 # as FMI and `Variable` call it
-    unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
-    positive: bool = False,
-    enumeration: Enumeration | None = None,
-) -> Variable:
-    """Return a parameter. A Real far from 1 gets the size of its start value as its nominal value."""
-    far_from_one = type == "Real" and not 1e-3 < (abs(float(start)) or 1.0) < 1e3
-    return Variable(
-        name=name,
-        causality="parameter",
-        description=description,
-        type="Enumeration" if enumeration else type,
-        start=start,
-        unit=unit,
-        positive=positive,
-        minimum=0.0 if positive else minimum,
-        maximum=maximum,
-        nominal=abs(float(start)) if far_from_one else None,
-        enumeration=enumeration,
-    )
 
 
 def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:

@@ -18,7 +18,8 @@ import ndob_fmu
 from ndob_fmu import Model, build
 from ndob_fmu.fmu.fmi2_xml import model_description
 from ndob_fmu.fmu.fmu_description import FmuDescription
-from ndob_fmu.interface.model_variables import METHOD, Variable
+from ndob_fmu.interface.model_variables import METHOD
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.equations import Experiment
 from tests.helpers.clean_process import fmpy as fmpy_command
 from tests.helpers.fmi_instance import OK, opened

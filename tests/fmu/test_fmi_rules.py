@@ -12,7 +12,7 @@ from fmpy import fmi2
 from ndob_fmu import build, load_model
 from ndob_fmu.fmu import compile_front as front
 from ndob_fmu.interface.fmi_rules import CALLS, DEAD_MODES, MODES, NOT_SETTABLE, SETTABLE, UNSUPPORTED, role
-from ndob_fmu.interface.model_variables import Variable
+from ndob_fmu.interface.variables import Variable
 from tests.helpers.fmi_instance import ERROR, OK, opened, unpacked
 from tests.helpers.needs import FRONT
 

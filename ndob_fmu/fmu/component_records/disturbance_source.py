@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ndob_fmu.fmu.icon import Icon
 from ndob_fmu.fmu.record import ComponentRecord
-from ndob_fmu.interface.model_variables import DISTURBANCE_KIND, Enumeration, Variable, parameter
+from ndob_fmu.interface.model_variables import DISTURBANCE_KIND
+from ndob_fmu.interface.variables import Enumeration, Variable, parameter
 from ndob_fmu.runtime.blocks.disturbance_source import INTERPOLATIONS, SOURCE_KINDS
 
 _KIND = Enumeration(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ndob_fmu.fmu.icon import Icon
 from ndob_fmu.fmu.record import ComponentRecord
 from ndob_fmu.fmu.sampling_variables import sampling_parameters, sampling_signals
-from ndob_fmu.interface.model_variables import parameter
+from ndob_fmu.interface.variables import parameter
 
 _VARIABLES = (
     *sampling_signals("angle", "Angle", "rad"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ndob_fmu.fmu.icon import Icon
 from ndob_fmu.fmu.record import ComponentRecord
-from ndob_fmu.interface.model_variables import Variable, parameter
+from ndob_fmu.interface.variables import Variable, parameter
 
 _ANGLES = ("angle_a", "angle_b")
 _VARIABLES = (

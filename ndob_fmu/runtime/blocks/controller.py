@@ -1,4 +1,4 @@
-"""The controller: state feedback to the rest position that holds the references against the estimated disturbance."""
+"""The controller: state feedback to the equilibrium at the references, for the estimated disturbance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ndob_fmu.runtime.equations import Equations, Vector
 _DIFFERENCE = 1e-6
 _TOLERANCE = 1e-9
 _ITERATIONS = 30
-# From which Newton's method looks for the inputs that hold x0, whose size nobody knows.
+# Start values of Newton's method for the inputs that hold x0, whose size is unknown.
 _FIRST_INPUTS = (0.0, *(sign * 10.0**k for k in (0, -1, 1, -2, 2, -3, 3, -4, 4, -5, 5, -6, 6) for sign in (1.0, -1.0)))
 
 
@@ -23,7 +23,8 @@ _FIRST_INPUTS = (0.0, *(sign * 10.0**k for k in (0, -1, 1, -2, 2, -3, 3, -4, 4, 
 class Feedback:
     """What a controller is built with besides its plant.
 
-    regulated: the m states or outputs that follow references; gain: K (m,n) as nested tuples.
+    regulated: the m states or outputs that follow references
+    gain: K (m,n) as nested tuples
     """
 
     regulated: tuple[str, ...]
@@ -32,7 +33,7 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Target:
-    """x* (n,) and u* (m,): where the plant rests with the regulated outputs at their references."""
+    """x* (n,) and u* (m,): the equilibrium with the regulated outputs at their references."""
 
     x: Array
     u: Array
@@ -42,7 +43,7 @@ class Target:
 class Controller:
     """start() → target; step(target, reference, x̂, d̂) → (target, u). The target is kept as Newton's first guess only.
 
-        0 = A x* + B u* + G_f f(x*, u*) + G_d d̂,   S x* = r          rest position, solved by Newton's method
+        0 = A x* + B u* + G_f f(x*, u*) + G_d d̂,   S x* = r          equilibrium, solved by Newton's method
         u = u* − K (x̂ − x*),   |u| ≤ limit
 
     K (m,n) is `gain`; S (m,n) has a row for each of the `regulated` states or outputs; `limit` (m,), 0 for none; d̂ is
@@ -71,17 +72,17 @@ class Controller:
         )
 
     def start(self) -> Target:
-        """Return the rest position with all references and disturbances at 0; without one, that near the plant's x0.
+        """Return the equilibrium with all references and disturbances at 0; if there is none, one near the plant's x0.
 
-        An empty tank or a valve that is shut is no position to linearise at: there an input that enters through f may
-        have no effect. Raises DesignError where there is no rest position, or none that the inputs can choose.
+        An empty tank or a shut valve is no point to linearise at, because an input that enters through f may have no
+        effect there. Raises DesignError if there is no equilibrium, or none that the inputs determine.
         """
         eq = self.equations
         d, x0 = [0.0] * len(eq.disturbances), np.array(eq.x0)
         guess = Target(x=np.zeros(len(eq.states)), u=np.zeros(len(eq.inputs)))
-        target = self._rest(guess, [0.0] * len(self.selection), d)
+        target = self._equilibrium(guess, [0.0] * len(self.selection), d)
         for u in _FIRST_INPUTS:
-            target = target or self._rest(Target(x=x0, u=np.full(len(eq.inputs), u)), self.selection @ x0, d)
+            target = target or self._equilibrium(Target(x=x0, u=np.full(len(eq.inputs), u)), self.selection @ x0, d)
         if target is None:
             raise DesignError.report(
                 f"the rest position of {eq.name}",
@@ -92,12 +93,12 @@ class Controller:
         return target
 
     def step(self, target: Target, reference: Vector, x_hat: Vector, d_hat: Vector) -> tuple[Target, Array]:
-        """Return the rest position for the references (m,) and d̂ (q2,), and u (m,).
+        """Return the equilibrium for the references (m,) and d̂ (q2,), and u (m,).
 
-        Where Newton's method finds none, the one before is kept.
+        If Newton's method does not converge, the equilibrium of the step before is kept.
         """
         d = list(d_hat) if self.compensation else [0.0] * len(d_hat)
-        target = self._rest(target, reference, d) or target
+        target = self._equilibrium(target, reference, d) or target
         u = target.u - self.gain @ (np.asarray(x_hat) - target.x)
         return target, np.where(self.limit > 0.0, np.clip(u, -self.limit, self.limit), u)
 
@@ -116,7 +117,7 @@ class Controller:
         J = self._jacobian(np.concatenate([target.x, target.u]), d)
         return J[:, :n], J[:, n:]
 
-    def _rest(self, guess: Target, reference: Vector, d: Sequence[float]) -> Target | None:
+    def _equilibrium(self, guess: Target, reference: Vector, d: Sequence[float]) -> Target | None:
         n, m = len(guess.x), len(guess.u)
         z = np.concatenate([guess.x, guess.u])
         lower = np.hstack([self.selection, np.zeros((m, m))])

@@ -5,20 +5,10 @@ Places and names are those of FMI 2.0.3 and later, where licences and external d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from ndob_fmu.fmu.icon import draw_icon, model_icon
-from ndob_fmu.fmu.manual import TEXTS, Part, manual
-from ndob_fmu.interface.model_variables import Variable
-from ndob_fmu.model.model import Model
+from ndob_fmu.fmu.manual import TEXTS
 
 
-def extras(model: Model, part: Part, variables: Sequence[Variable]) -> dict[str, bytes]:
-    """Return the contents of these files for the plant or the observer of a model, by their path in the archive."""
-    return surroundings(manual(model, part, variables), draw_icon(model_icon(model, part)))
-
-
-def surroundings(page: str, icon: bytes) -> dict[str, bytes]:
+def documentation_files(page: str, icon: bytes) -> dict[str, bytes]:
     """Return the contents of these files for an FMU with this manual (HTML) and icon (PNG)."""
     texts = {
         f"documentation/{path.relative_to(TEXTS).as_posix()}": path.read_text("utf-8") for path in TEXTS.rglob("*.txt")
