@@ -109,5 +109,5 @@ class Component(Protocol):
 
 
 def recordable(variables: Sequence[Variable]) -> tuple[Variable, ...]:
-    """Return the outputs that travel and are recorded as numbers: all but Strings, in the component's own order."""
+    """Return the outputs that are exchanged and recorded as numbers: all but Strings, in the component's own order."""
     return tuple(v for v in variables if v.causality == "output" and v.type != "String")

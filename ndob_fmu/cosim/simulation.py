@@ -46,21 +46,19 @@ def simulate(
 ) -> Recording:
     """Co-simulate with a fixed communication step and return every numeric output, one row per communication point.
 
-    system: a System, the path of an .ssp, or that of an .fmu, whose variables may then be named without the component.
-    Times in seconds; one that is None comes from the
-    default experiment of the .ssp or .fmu, the start time else is 0, and each communication point is recorded.
-    start_values: ``component.variable`` → value; that of an input that something drives is its value before the first
-    exchange. input_file: CSV in fmpy's form with columns ``component.variable``, each row held until the next. An input
-    that nothing drives keeps its start value, after SSP 1.0.1; where that is the FMU's own, a warning names it, and
-    strict refuses it. progress: a bar on
-    stderr for runs longer than 2 s; None shows it on terminals only.
-
-    scheme: ``jacobi``, all components step at once with inputs held since the step's beginning; ``gauss-seidel``, one
-    after the other, each with what those before it have at the step's end; ``extrapolation``, all at once with inputs
-    held at what they will be in the step's middle, of second order where signals are smooth. order: the components'
-    names in the order of gauss-seidel; None means the system's.
-
-    tolerance: relative, for what the FMUs solve inside a step; None is that of each FMU's default experiment.
+    system: a System, or the path of an .ssp or .fmu. Variables of a single .fmu may be named without the component.
+    start_time, stop_time, step_size: s; None takes that of the default experiment, for the start time else 0.
+    output_interval: s between rows; None records each communication point.
+    start_values: ``component.variable`` → value; a connected input has it before the first exchange.
+    input_file: CSV in fmpy's form with columns ``component.variable``; each row holds until the next.
+    scheme: ``jacobi``: all components step at once, with inputs held since the step's beginning; ``gauss-seidel``: one
+        after another, each with the values that those before it have at the step's end; ``extrapolation``: all at once,
+        with inputs extrapolated to the step's middle, of second order for smooth signals.
+    order: the components' names in the order of gauss-seidel; None means the system's order.
+    tolerance: relative, for the FMUs' own solvers; None is that of each FMU's default experiment.
+    strict: refuse an input that nothing drives and that has no start value of the system or the call. Otherwise it
+        keeps its FMU's start value, after SSP 1.0.1, and a warning names it.
+    progress: whether to show a bar on stderr for runs longer than 2 s; None shows it on terminals only.
 
     An FMU that ends the simulation ends the run at that time: the last row is then before the stop time,
     ``Recording.ended_early`` says why, and a warning is logged.

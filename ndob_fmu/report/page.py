@@ -21,7 +21,7 @@ _CONFIGURATION = {
     "displaylogo": False,
     "responsive": True,
     "toImageButtonOptions": {"format": "svg"},
-    # Nobody's results go to a server by one click.
+    # Results must not go to a server by one click.
     "showSendToCloud": False,
     "plotlyServerURL": "",
 }

@@ -16,9 +16,11 @@ from ndob_fmu.runtime.arrays import Array
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """A run: `recording` of outputs; `inputs` by port from an input file; `summary` as it was written.
+    """A run.
 
-    units: of signals and parameters, as people write them.
+    recording: the outputs.
+    inputs: the inputs from an input file, by port.
+    summary: the entries of summary.json.
     """
 
     recording: Recording
@@ -40,7 +42,7 @@ class RecordedRun:
         return self.recording[name] if name in self.recording.names else None
 
     def observers(self) -> dict[str, list[str]]:
-        """Return the disturbances that each observer estimates: what it gives both an estimate and an error bar of."""
+        """Return the disturbances that each observer estimates: those with an estimate and an error bar."""
         found: dict[str, list[str]] = {}
         for name in self.recording.names:
             component, _, variable = name.partition(".")

@@ -14,7 +14,7 @@ _MOST_POINTS = 2000
 _MOST_SPANS = 200
 _ESTIMATE = "_hat"
 _TRUTHS = ("{}_total", "{}")
-# An axis shows all values where they reach no further than this many times the range of the usual ones.
+# An axis shows all values if their range is at most this many times that between the 1 % and 99 % quantiles.
 _FAR = 2.5
 
 
@@ -42,9 +42,9 @@ def thinned(values: Array, most: int = _MOST_POINTS) -> NDArray[np.intp]:
 
 
 def spans(time: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return from when to when (s) a flag holds, (rows,), where row k tells of the step that ends at ``time[k]``.
+    """Return the intervals (s) in which a flag (rows,) is true; row k is for the step that ends at ``time[k]``.
 
-    At most 200: of more, those are joined that lie closest together.
+    There are at most 200; of more, the closest ones are joined.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(int)))
     found = [(float(time[max(a - 1, 0)]), float(time[b - 1])) for a, b in edges.reshape(-1, 2)]

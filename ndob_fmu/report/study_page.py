@@ -93,7 +93,7 @@ def _label(name: str, units: Mapping[str, str]) -> str:
 
 
 def _colors(axis: Axis, units: dict[str, str]) -> tuple[Any, dict[str, Any]]:
-    """Return what to colour by, logarithmic where it spans decades, and the bar that explains the colours."""
+    """Return the values for the colours, logarithmic where they span decades, and the colour bar."""
     known = axis.values[np.isfinite(axis.values)]
     marks = (np.geomspace if axis.log else np.linspace)(known.min(), known.max(), 5)
     ticks = np.log10(marks) if axis.log else marks
@@ -153,7 +153,7 @@ def _two_parameters(parameters: Sequence[Axis], measure: Axis, units: dict[str, 
 
 
 def _add_cells(figure: go.Figure, x: Axis, y: Axis, measure: Axis, units: dict[str, str]) -> bool:
-    """Add a heat map and return that its axes have words for numbers, too."""
+    """Add a heat map; return True, since its axes have labels in place of numbers."""
     cells, columns, rows = cell_medians(x, y, measure)
     values, bar = _colors(Axis(measure.name, cells), units)
     figure.add_heatmap(
@@ -169,7 +169,7 @@ def _add_cells(figure: go.Figure, x: Axis, y: Axis, measure: Axis, units: dict[s
 
 
 def _add_points(figure: go.Figure, x: Axis, y: Axis, measure: Axis, units: dict[str, str]) -> bool:
-    """Add a point for each run, a cross where the measure has no value, and return that numbers are numbers."""
+    """Add a point for each run, a cross where the measure has no value; return False, since its axes have numbers."""
     across, up, medians = point_medians(x, y, measure)
     values, bar = _colors(Axis(measure.name, medians), units)
     known = np.isfinite(medians)
@@ -197,7 +197,7 @@ def _as_shown(axis: Axis, values: Any) -> Any:
 
 
 def _axis_of(which: str, axis: Axis, units: dict[str, str], words: bool = False) -> dict[str, Any]:
-    """Return what makes the axis ``which`` of a layout that of a parameter or measure; words: of cells."""
+    """Return the entries of a layout for the axis ``which``; words: whether its values are labels of cells."""
     kind = "category" if axis.words or words else "log" if axis.log else "linear"
     decades = np.ptp(np.log10(axis.values[np.isfinite(axis.values)])) if kind == "log" else 0.0
     entries = {

@@ -18,7 +18,7 @@ from ndob_fmu.errors import UsageError
 _log = logging.getLogger(__name__)
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # as on some cluster file systems
 _LOCK = ".lock"
-_HOLDER = ".lock-holder"  # beside the lock, whose bytes Windows lets nobody else read
+_HOLDER = ".lock-holder"  # beside the lock, which no other process can read on Windows
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def locked(folder: Path) -> Iterator[None]:
             ) from error
         _log.warning("%s: its file system has no locks; let one command at a time work on it", folder)
     try:
-        with suppress(OSError):  # a full disk: messages of others then do without a name
+        with suppress(OSError):  # a full disk: other commands then cannot name the holder
             (folder / _HOLDER).write_text(
                 f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}", "utf-8"
             )

@@ -122,7 +122,7 @@ class _Crew:
                 mean = sum(row[WALL_TIME] for row in rows) / len(rows)
                 fair = -(-len(todo) // (_AHEAD * self.threads))  # so that all workers are busy until the last batch
                 size = max(1, min(_MOST_IN_A_BATCH, int(_BATCH_SECONDS / max(mean, 1e-6)), fair))
-        # A worker died of a batch. One run at a time, so that only the one to blame fails.
+        # A worker died during a batch. Its runs are done one at a time, so that only the one at fault fails.
         for run in self._suspects[:]:
             self._submit([run])
             while self._batches:

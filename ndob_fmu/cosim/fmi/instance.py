@@ -13,7 +13,7 @@ from fmpy import fmi2
 
 from ndob_fmu.cosim.fmi.model_description import ModelDescription
 
-_PYTHONFMU = b"PySlaveInstance"  # a class of pythonfmu's binary, whose name every build of it holds
+_PYTHONFMU = b"PySlaveInstance"  # a class in pythonfmu's library; its name is in the library on every platform
 
 
 class NoInstanceError(Exception):

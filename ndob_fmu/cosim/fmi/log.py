@@ -23,7 +23,7 @@ _open: dict[int, FmuLog] = {}
 
 
 class FmuLog:
-    """The callbacks for one instance; ``last`` is its latest message that was more than information.
+    """The callbacks for one instance; ``last`` is its latest message with another status than OK.
 
     Held open by ``open`` and ``close``, between which the FMU may call back.
     """

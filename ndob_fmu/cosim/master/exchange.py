@@ -39,7 +39,7 @@ def exchange(parts: Sequence[Part], bus: Array, wiring: Wiring) -> None:
     width = len(wiring.names)
     real = np.array([kind == "Real" for kind in wiring.types])
     moving = np.flatnonzero((before != bus)[:width] & real)
-    bus[moving] = start[moving]  # a loop with a gain above one has led far away
+    bus[moving] = start[moving]  # the sweeps of a loop with a gain above one diverge
     if not _iterate(parts, bus, moving):
         names = {wiring.names[index] for index in np.flatnonzero((before != bus)[:width])}
         _warn(wiring, names)
@@ -78,7 +78,7 @@ def _iterate(parts: Sequence[Part], bus: Array, moving: NDArray[np.intp]) -> boo
         images, residuals = [*images[-_MEMORY:], g], [*residuals[-_MEMORY:], residual]
         x = g
         if len(images) > 1 and x.size:
-            # Signals of different units count alike.
+            # Scaled, since signals have different units.
             unit = np.where(largest > 0, largest, 1.0)
             steps = np.column_stack([residual - old for old in residuals[:-1]]) / unit[:, None]
             weights = np.linalg.lstsq(steps, residual / unit, rcond=None)[0]

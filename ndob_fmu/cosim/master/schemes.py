@@ -1,4 +1,4 @@
-"""The coupling schemes: in which order components step, and what their inputs hold meanwhile."""
+"""The coupling schemes: the order in which components step, and the values of their inputs during a step."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _parallel(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
 def _sequential(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
     ending = None
     for part in parts:
-        # A longer step is made when the clock gets to its end, so that it sees the others there.
+        # A longer step is made when the clock reaches its end, so that its inputs are those of the end.
         if (k + 1) % part.ratio == 0:
             part.receive(k)
             ended = part.component.step(clock.time(k + 1 - part.ratio), part.step_size)

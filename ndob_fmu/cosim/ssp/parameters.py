@@ -132,7 +132,7 @@ def _settable(structure: Structure, node: Node) -> list[End]:
 
 
 def _port(system: System, structure: Structure, port: Port) -> _Target:
-    system.variable(port)  # which names the nearest one if there is none
+    system.variable(port)  # raises for an unknown name, with the nearest one
     return _Target(port, 1.0, 0.0, structure.signal(Node(*port)).unit)
 
 
@@ -158,7 +158,7 @@ def _value(system: System, port: Port, parameter: _Parameter, scaling: tuple[flo
     try:
         value = convert(variable, parameter.value, where)
     except UsageError as error:
-        raise CouplingError(str(error)) from error  # it is the package that contradicts itself
+        raise CouplingError(str(error)) from error  # the fault is in the package, not in the call
     if scaling == (1.0, 0.0):
         return value
     if variable.type != "Real":

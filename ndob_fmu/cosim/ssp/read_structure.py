@@ -118,7 +118,7 @@ class _Reader:
         self._graph.hops.setdefault(source, []).append(Hop(target, factor, offset, not suppressed(connection)))
 
     def _end(self, path: str, connection: Element, end: str, dictionaries: dict[str, str]) -> tuple[Node, bool | None]:
-        """Return the node at one end and whether it gives (True) or takes (False); None where the other end decides."""
+        """Return the node at one end; True for a source, False for a target, None where the other end decides."""
         # An empty name means the system itself, as no name does; OMSimulator writes it.
         element, name = connection.get(f"{end}Element") or None, connection.get(f"{end}Connector")
         owner = path if element is None else dictionaries.get(element, join(path, element))
