@@ -35,7 +35,14 @@ from ndob_fmu.codegen.program import (
     assignments,
     element_of_each,
 )
-from ndob_fmu.codegen.straight_line import RightHandSide, Trial, correction, right_hand_side, symbols, trial
+from ndob_fmu.codegen.straight_line import (
+    RightHandSide,
+    SubstepAssignments,
+    correction,
+    right_hand_side,
+    substep,
+    symbols,
+)
 from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.runtime.numerics.integrate import ABSOLUTE_TOLERANCE, NODES
@@ -101,7 +108,7 @@ def _unpacked(names: Symbols, array: str) -> tuple[Statement, ...]:
 def _plant_trial(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statement, ...]:
     """Try a substep h: x after it and the norm of its error. _d holds d at the nodes."""
     stages = _rows(symbols("d", len(NODES) * len(rhs.d)), len(rhs.d))
-    tried = trial(rhs, SUBSTEP, stages)
+    tried = substep(rhs, SUBSTEP, stages)
     return (
         *_unpacked_constants(rhs, p),
         *_unpacked(rhs.x, "_x"),
@@ -115,7 +122,7 @@ def _plant_trial(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statement,
     )
 
 
-def _error_norm(tried: Trial) -> tuple[Statement, ...]:
+def _error_norm(tried: SubstepAssignments) -> tuple[Statement, ...]:
     ratios = tuple(sympy.Abs(error) / tolerance for error, tolerance in tried.judged)
     return (*assignments(tried.tolerances), Call((NORM,), "largest", (ratios,)))
 
@@ -132,7 +139,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
         symbols("y", outputs),
     )
     update = correction(rhs, delta, y, _rows(gain, outputs))
-    e = tuple(symbol for symbol, _ in update.residuals)
+    e = tuple(symbol for symbol, _ in update.innovations)
     d_1, d_at = delta[:q], symbols("o", q)
     prediction, at_end = _prediction(rhs, delta)
     x_hat, d_hat = ([at_end[symbol] for symbol in symbols_of] for symbols_of in (rhs.x, d_1))
@@ -145,7 +152,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
         Unpack(d_std, "_gain", "d_std"),
         Unpack(residual_std, "_gain", "residual_std"),
         Unpack(gain, "_gain", "K"),
-        *assignments(update.residuals),
+        *assignments(update.innovations),
         If(Not(inside_gate), (Fail(),)),
         *(If(Not(Within(-LARGEST, symbol, LARGEST)), (Fail(),)) for symbol in u),
         *assignments(update.corrected),
@@ -177,7 +184,7 @@ def _prediction(rhs: RightHandSide, delta: Symbols) -> tuple[tuple[Statement, ..
     q = len(rhs.d)
     d_1, d_2, d_3 = _rows(delta, q)
     stages = _rows(symbols("d", len(NODES) * q), q)
-    tried = trial(rhs, SUBSTEP, [d_1, *stages[1:]])
+    tried = substep(rhs, SUBSTEP, [d_1, *stages[1:]])
     time, left, trials, planned = (sympy.Symbol(f"_{name}", real=True) for name in ("t", "left", "trials", "planned"))
     after = {
         **dict(zip(rhs.x, tried.x_after, strict=True)),
