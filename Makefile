@@ -30,7 +30,7 @@ docs: .venv/installed-test build
 	$(BIN)/sphinx-build -W -n --keep-going docs build/docs
 
 regression: .venv/installed-test build
-	$(BIN)/python fmus/regression.py build/fmus
+	$(BIN)/python fmus/tools/regression.py build/fmus
 
 exits: .venv/installed-test
 	$(BIN)/python -m tests.helpers.native_host 100

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
 
@@ -14,10 +14,13 @@ from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.numerics.hold import History
 from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
-from ndob_fmu.runtime.step.observer import Estimate
+from ndob_fmu.runtime.step.observer import Estimate, Observer
 from ndob_fmu.runtime.step.paper_observer import PaperObserver, PaperObserverState, paper_observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, SampledObserverState
+
+# Takes state, inputs with outputs, and the step size; returns the state and the slave's outputs, or None.
+_QuickStep = Callable[[Any, Sequence[float], float], tuple[Any, Sequence[Any], Any] | None]
 
 
 class ObserverSlave(Slave):
@@ -28,33 +31,40 @@ class ObserverSlave(Slave):
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
         super().__init__(observer_variables(equations), **kwargs)
-        self._inputs = self.stretch([*equations.inputs, *equations.outputs])
+        self._inputs = self.variables.stretch([*equations.inputs, *equations.outputs])
 
     def start(self, start_time: float) -> None:
         """Make the observer and start it from the given estimate of the state."""
-        make = self._paper if self.value("method") == METHODS["paper"] else self._sampled
-        self.observer: Any = read_out(
+        observer: Observer[Any]
+        quick: _QuickStep | None
+        if self.value("method") == METHODS["paper"]:
+            observer, quick = self._paper(), None
+        else:
+            observer = sampled = self._sampled()
+            quick = sampled.step_converged
+        self.observer: Observer[Any] = read_out(
             self.equations,
             self.values(self.equations.parameters),
-            make(),
+            observer,
             disturbance_bound=self._for_disturbances("disturbance_bound"),
         )
-        self._step_converged = self.observer.step_converged if isinstance(self.observer, SampledObserver) else None
+        # A channel that depends on the state is read out after each step, which the quick step would leave out.
+        self._step_converged = quick if self.observer is observer else None
         self.state = self.observer.init(self._for_states("hat_start"))
 
     def possible(self, state: Any, begin: float, now: float) -> bool:
         """Whether the observer can be in such a state."""
-        return bool(self.observer.possible(state, now - begin))
+        return self.observer.possible(state, now - begin)
 
     def show(self) -> Sequence[Any]:
         """Return the estimate that the first sample alone gives."""
         return _outputs(self.observer.estimate(self.state, self.values(self.equations.outputs)))
 
     def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
-        """Do so once the gain is frozen, with samples as they usually are."""
+        """Take the same step once the gain has converged, with a sample inside the gate."""
         if self._step_converged is None:
             return None
-        done = self._step_converged(self.state, self._values[self._inputs], step_size)
+        done = self._step_converged(self.state, self.variables.present[self._inputs], step_size)
         if done is None:
             return None
         self.state, outputs, _ = done

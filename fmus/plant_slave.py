@@ -34,7 +34,7 @@ class PlantSlave(Slave):
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
         super().__init__(plant_variables(equations), **kwargs)
-        self._inputs_at = self.stretch([*equations.inputs, *equations.disturbances])
+        self._inputs_at = self.variables.stretch([*equations.inputs, *equations.disturbances])
 
     def start(self, start_time: float) -> None:
         """Make the plant and its start state from the parameters."""
@@ -62,8 +62,8 @@ class PlantSlave(Slave):
         return self._outputs(self.state.plant, held[len(self.equations.inputs) :])
 
     def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
-        """Do so with inputs as they usually are, which the generated code of the plant takes without NumPy."""
-        held = tuple(self._values[self._inputs_at])
+        """Take the same step if all inputs are finite: the generated code of the plant needs no NumPy then."""
+        held = tuple(self.variables.present[self._inputs_at])
         if not all(map(isfinite, held)):
             return None
         return self._advanced(held, t, step_size)

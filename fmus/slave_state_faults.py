@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from fmus.slave_guards import TIME_TOLERANCE, experiment_fault, is_declared, parameter_fault, stop_fault
+from fmus.slave_clock import TIME_TOLERANCE, Clock, experiment_fault
 from fmus.slave_state import Snapshot
+from fmus.slave_variables import is_declared, parameter_fault
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.base_errors import NdobError
 
@@ -65,7 +66,7 @@ def _times_fault(s: Snapshot) -> NdobError | None:
     times = (s.start_time, s.time, s.step_size, *(() if s.stop_time is None else (s.stop_time,)))
     if not all(isinstance(time, float) for time in times) or not all(map(isfinite, times[:3])):
         return _fault("times that are finite numbers")
-    fault = experiment_fault(s.start_time, s.stop_time) or stop_fault(s.time, s.step_size, s.stop_time)
+    fault = experiment_fault(s.start_time, s.stop_time) or Clock(stop=s.stop_time).stop_fault(s.time, s.step_size)
     if fault:
         return fault
     passed = s.time - s.start_time

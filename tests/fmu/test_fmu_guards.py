@@ -12,7 +12,7 @@ from math import inf, nan
 import pytest
 import sympy
 
-from fmus.slave_guards import printable
+from fmus.slave_messages import printable
 from ndob_fmu import Model, build, load_model
 from ndob_fmu.fmu import compile_front as front
 from tests.fmu.test_fmu_state import forged

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.regression import excess, experiments, main, read_columns
+from fmus.tools.regression import excess, experiments, main, read_columns
 from ndob_fmu import build, load_model
 from tests.helpers.clean_process import ENVIRONMENT
 from tests.helpers.clean_process import fmpy as fmpy_command
@@ -82,7 +82,7 @@ def test_the_script_tells_a_plant_with_another_parameter_from_the_right_one(
     flexible_joint, tmp_path, monkeypatch, capsys
 ):
     """Gravity off by a millionth."""
-    monkeypatch.setattr("fmus.regression.experiments", lambda: [BY_STEM["FlexibleJointPlant_paper"]])
+    monkeypatch.setattr("fmus.tools.regression.experiments", lambda: [BY_STEM["FlexibleJointPlant_paper"]])
     assert main(flexible_joint.plant.parent) == 0
     assert "OUTSIDE" not in capsys.readouterr().out
     model = load_model("flexible_joint")
@@ -94,7 +94,7 @@ def test_the_script_tells_a_plant_with_another_parameter_from_the_right_one(
 
 
 def test_the_script_says_what_is_wrong_where_there_are_no_fmus(tmp_path):
-    command = [sys.executable, ROOT / "fmus" / "regression.py", "nowhere"]
+    command = [sys.executable, ROOT / "fmus" / "tools" / "regression.py", "nowhere"]
     done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stdout.count("FAILED: ") == len(BY_STEM)

@@ -116,7 +116,7 @@ def _compile_host() -> None:
     import fmpy
 
     flags = ("-std=gnu11", "-O2", "-static", "-Wall", "-Wextra", "-Werror", "-Wno-format", "-D_WIN32_WINNT=0x0602")
-    source, headers = ROOT / "tests" / "native" / "host.c", Path(fmpy.__file__).parent / "c-code"
+    source, headers = ROOT / "tests" / "helpers" / "native" / "host.c", Path(fmpy.__file__).parent / "c-code"
     command = [COMPILER, *flags, "-D__USE_MINGW_ANSI_STDIO=1", "-I", str(headers), str(source), "-o", str(HOST)]
     subprocess.run([*command, "-lpthread"], check=True)
 

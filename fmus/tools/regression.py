@@ -1,9 +1,9 @@
 """Run the reference experiments with `fmpy simulate` and compare them with the references in tolerance tubes.
 
-    python fmus/regression.py [FOLDER]
+    python fmus/tools/regression.py [FOLDER]
 
-FOLDER, by default build/fmus, holds the FMUs. An experiment is a file `<Name>_ref.opt` or `<Name>_paper_ref.opt` beside
-this script: how to run the FMU `<Name>`, with the inputs in `…_in.csv` if there is one, and how wide the tube around
+FOLDER, by default build/fmus, holds the FMUs. An experiment is a file `<Name>_ref.opt` or `<Name>_paper_ref.opt` in
+fmus/<Name>/: how to run the FMU `<Name>`, with the inputs in `…_in.csv` if there is one, and how wide the tube around
 `…_ref.csv` is. Exit code 1 if a signal leaves its tube. Needs fmpy and pyfunnel, not the package that built the FMUs.
 
 The tube is as wide as RelTol times the span of the signal (its magnitude, where it is constant), to both sides. Times
@@ -26,7 +26,7 @@ from pyfunnel import compareAndReport
 
 Array = NDArray[np.float64]
 
-HERE = Path(__file__).resolve().parent
+REFERENCES = Path(__file__).resolve().parents[1]
 # The paper's experiments are run by the paper's method; the observer's start value is the other one.
 START_VALUES = {"FlexibleJointObserver_paper": ("method", "1")}
 
@@ -68,8 +68,8 @@ class ReferenceExperiment:
 
 
 def experiments() -> list[ReferenceExperiment]:
-    """Return all experiments that lie beside this script."""
-    paths = sorted(HERE.glob("*/*_ref.opt"))
+    """Return all experiments of fmus/."""
+    paths = sorted(REFERENCES.glob("*/*_ref.opt"))
     return [ReferenceExperiment(path.name.removesuffix("_ref.opt"), path.parent) for path in paths]
 
 

@@ -1,14 +1,14 @@
 """Write the files of the FMI cross-check for the FlexibleJoint FMUs.
 
-    python fmus/regenerate.py [FOLDER]
+    python fmus/tools/regenerate.py [FOLDER]
 
-FOLDER, by default the one this file lies in, gets FlexibleJointPlant/ and FlexibleJointObserver/ with two experiments
-each: in `<Name>_in.csv` the motor and the load jump, `<Name>_paper_…` is the paper's example, the FMUs' default, in
-which nothing does. `_in.csv` are the inputs, `_ref.csv` the reference, `_ref.opt` how to run; fmus/regression.py runs
-them. No FMU is involved here. The plant's references come from SciPy and from the equations written out below, so that
-they share nothing with what they check. The observer's are runs of its core over samples of that plant, `_ref` by its
-default method, `_paper_ref` by the paper's. They tell that an estimate changed, not that it is right; that is for the
-tests of the theory.
+FOLDER, by default fmus/, gets FlexibleJointPlant/ and FlexibleJointObserver/ with two experiments each. In
+`<Name>_in.csv` motor and load jump; `<Name>_paper_…` is the paper's example, the FMUs' default, without a jump.
+`_in.csv` holds the inputs, `_ref.csv` the reference, `_ref.opt` how to run; fmus/tools/regression.py runs them.
+
+No FMU is involved here. The plant's references come from SciPy and the equations written out below, so that they share
+nothing with what they check. The observer's are runs of its core over samples of that plant: `_ref` by its default
+method, `_paper_ref` by the paper's. They show that an estimate changed. Whether it is right is for the theory's tests.
 
 Commit new files only together with the reason why the old ones no longer hold.
 """
@@ -194,4 +194,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1])
