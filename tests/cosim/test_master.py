@@ -266,7 +266,7 @@ def test_a_progress_bar_shows_on_terminals_or_on_request_and_only_for_long_runs(
     monkeypatch, stream, progress, quiet, shown
 ):
     if quiet is not None:
-        monkeypatch.setattr("ndob_fmu.cosim.master.master._QUIET_SECONDS", quiet)
+        monkeypatch.setattr("ndob_fmu.cosim.master.fixed_step.QUIET_SECONDS", quiet)
     monkeypatch.setattr(sys, "stderr", stream())
     simulate(System({"a": ramp()}), stop_time=1.0, step_size=0.01, progress=progress)
     assert ("step" in sys.stderr.getvalue()) == shown

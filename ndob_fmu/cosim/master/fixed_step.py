@@ -19,7 +19,7 @@ from ndob_fmu.errors import UsageError, one_of
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.support.interrupts import deferred_interrupt, held
 
-_QUIET_SECONDS = 2.0  # a run shorter than this shows no progress bar
+QUIET_SECONDS = 2.0  # a run shorter than this shows no progress bar
 
 
 def run(wiring: Wiring, clock: Clock, *, scheme: str, progress: bool | None, tolerance: float | None) -> Recording:
@@ -93,5 +93,5 @@ def _counted(steps: int, progress: bool | None) -> Iterable[int]:
     shown = sys.stderr.isatty() if progress is None else progress
     if not shown:
         return range(steps)  # even a disabled tqdm starts a thread, which a later fork would warn about
-    bar: Iterable[int] = tqdm(range(steps), delay=_QUIET_SECONDS, unit="step", leave=False)
+    bar: Iterable[int] = tqdm(range(steps), delay=QUIET_SECONDS, unit="step", leave=False)
     return bar
