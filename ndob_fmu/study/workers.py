@@ -26,7 +26,9 @@ from ndob_fmu.support.temporary import make_folder, remove_folder, temporary_fol
 
 _SCHEDULER = "a scheduler of dask.distributed that answers, as tcp://HOST:PORT or tls://HOST:PORT"
 _LARGEST_PORT = 65535
-_PATIENCE = 10.0  # seconds for a scheduler to answer, and for its first worker
+_PATIENCE = 10.0  # s, for a scheduler to answer
+# A worker is often started with its scheduler, and on a busy machine loads its libraries for half a minute.
+_FIRST_WORKER = 60.0  # s
 _CONFIGURATION = {
     "distributed.comm.timeouts.connect": "5s",
     # A run that ends its worker is tried on one more before it counts as failed.
@@ -218,7 +220,9 @@ def _remote(address: str) -> Iterator[Client]:
         ) from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=_PATIENCE)
+            client.wait_for_workers(1, timeout=_FIRST_WORKER)
         except TimeoutError as error:
-            raise SimulationError.report(f"scheduler {address}", expected="a worker", received="none") from error
+            raise SimulationError.report(
+                f"scheduler {address}", expected="a worker", received=f"none in {_FIRST_WORKER:g} s"
+            ) from error
         yield client

@@ -233,6 +233,18 @@ def test_an_unreachable_scheduler_is_named(walk, fmus, tmp_path, monkeypatch, ca
     assert err.count("\n") == 1
 
 
+def test_a_scheduler_without_a_worker_is_named(fmus, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(workers, "_FIRST_WORKER", 0.5)
+    path = write(tmp_path, "walk", WALK, fmus)
+    scheduler = {"dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(
+        n_workers=0, processes=False, protocol="tcp://", dashboard_address=None, scheduler_kwargs=scheduler
+    ) as started:
+        words = ["sweep", str(path), "--out", str(tmp_path / "r"), "--scheduler", started.scheduler_address]
+        assert main(words) == 1
+    assert capsys.readouterr().err.endswith(": expected a worker, received none in 0.5 s\n")
+
+
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory):
     """Start a cluster that speaks TLS; return its address and dask's configuration with a certificate for it."""
