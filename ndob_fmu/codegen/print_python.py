@@ -1,4 +1,4 @@
-"""Trees of statements and SymPy's expressions as Python text, which evaluates to the very numbers of the model."""
+"""Trees of statements and SymPy's expressions as Python text, which evaluates to exactly the model's numbers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from ndob_fmu.codegen.program import (
 )
 from ndob_fmu.errors import ModelError
 
-# What the text of `print_function` uses. Names of the model do not begin with an underscore, so that none hides these.
+# What the text of `print_function` uses. No name of a model begins with an underscore, so that no name hides these.
 IMPORTS = """import math
 
 from ndob_fmu.runtime.generated_steps import ObserverStep as _ObserverStep
@@ -46,9 +46,9 @@ _new = tuple.__new__  # takes half the time of the named tuple's own
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
-    """Python text that evaluates to the very numbers of the model: SymPy's own keeps 15 digits of a float.
+    """SymPy's printer, changed so that every float keeps all its digits; SymPy's own keeps 15.
 
-    The model's names get an underscore behind them; those of the generated text begin with one.
+    The model's names get an underscore behind them; names of the generated text begin with one.
     """
 
     def _print_Symbol(self, symbol: sympy.Symbol) -> str:
@@ -75,7 +75,7 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 _PRINTER = _Printer({"fully_qualified_modules": True})
 
 
-def python_text(expression: sympy.Expr) -> str:
+def _expression(expression: sympy.Expr) -> str:
     """Return the expression in Python. Raises ModelError for a function that has no Python form."""
     try:
         text: str = _PRINTER.doprint(expression)
@@ -107,15 +107,15 @@ def _indented(body: Iterable[Statement]) -> Iterator[str]:
 def _lines(statement: Statement) -> Iterator[str]:
     match statement:
         case Assign(target, value):
-            yield f"{python_text(target)} = {python_text(value)}"
+            yield f"{_expression(target)} = {_expression(value)}"
         case Element(target, array, index):
-            yield f"{python_text(target)} = {array}[{index}]"
+            yield f"{_expression(target)} = {array}[{index}]"
         case Unpack(names, argument, field):
             yield f"{_value(names)} = {argument}{f'.{field}' if field else ''}"
         case Keep(name, values):
             yield f"{name} = {_value(values)}"
         case Call(targets, function, arguments):
-            yield f"{', '.join(map(python_text, targets))} = _{function}({', '.join(map(_value, arguments))})"
+            yield f"{', '.join(map(_expression, targets))} = _{function}({', '.join(map(_value, arguments))})"
         case If(condition, then, otherwise):
             yield f"if {_condition(condition)}:"
             yield from _indented(then)
@@ -136,13 +136,13 @@ def _lines(statement: Statement) -> Iterator[str]:
 def _condition(condition: Condition) -> str:
     match condition:
         case Within(low, value, high):
-            return f"{python_text(low)} <= {python_text(value)} <= {python_text(high)}"
+            return f"{_expression(low)} <= {_expression(value)} <= {_expression(high)}"
         case Compare(left, relation, right):
-            return f"{python_text(left)} {relation} {python_text(right)}"
+            return f"{_expression(left)} {relation} {_expression(right)}"
         case SumIsFinite(values):
-            return f"math.isfinite({' + '.join(map(python_text, values))})"
+            return f"math.isfinite({' + '.join(map(_expression, values))})"
         case AnyNonzero(values):
-            return " or ".join(map(python_text, values))
+            return " or ".join(map(_expression, values))
         case All(conditions):
             return " and ".join(map(_condition, conditions))
         case Not(inner):
@@ -164,7 +164,7 @@ def _value(value: Value) -> str:
         return value.name
     if isinstance(value, Record):
         return f"_new(_{value.type}, {_tuple(_value(field) for _, field in value.fields)})"
-    return python_text(value)
+    return _expression(value)
 
 
 def _tuple(items: Iterable[str]) -> str:

@@ -1,7 +1,7 @@
 """Generated functions as trees of statements, which a printer for any language can write.
 
-SymPy's expressions are the leaves. SymPy has a tree of statements too, `sympy.codegen.ast`, but none for a branch
-around statements or for several results by name, and it evaluates comparisons when it builds them.
+SymPy's expressions are the leaves. SymPy has a tree of statements too, `sympy.codegen.ast`. It has no branch
+around statements and no results by name, and it simplifies comparisons when they are built.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Function:
-    """A function of named arguments, of which it changes none."""
+    """A function; it does not change its arguments."""
 
     name: str
     arguments: tuple[Argument, ...]
