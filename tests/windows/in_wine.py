@@ -91,7 +91,7 @@ def scale(columns, variable):
 
 @pytest.mark.parametrize("name", [name + variant for name in NAMES for variant in VARIANTS.get(name, {"": {}})])
 def test_each_fmu_gives_linuxs_trajectories_in_fmpy(trajectories, name):
-    assert len(NAMES) == 6
+    assert len(NAMES) == 7
     on_windows, on_linux = (found[name] for found in trajectories)
     assert set(on_windows) == set(on_linux)
     equal = EQUAL_AT_HIGHEST_GAIN if name == OBSERVER else EQUAL
