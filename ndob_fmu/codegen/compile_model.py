@@ -4,30 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ndob_fmu.codegen.emit import emit_python
+from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.support.progress import begin
 
-# A model never changes, and writing its code takes seconds.
-_COMPILED: WeakKeyDictionary[Model, Equations] = WeakKeyDictionary()
 
-
+@once_per_model
 def compile_model(model: Model) -> Equations:
-    """Return the model's equations as the runtime uses them; a model that is asked for again is not compiled again.
+    """Return the model's equations as the runtime uses them.
 
     Raises ModelError where an expression has no Python form or cannot be evaluated at the model's start values.
     """
-    found = _COMPILED.get(model)
-    if found is None:
-        found = _COMPILED[model] = _compiled(model)
-    return found
+    begin(f"writing the equations of {model.name} as code")
+    namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
+    exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
+    equations: Equations = namespace["EQUATIONS"]
+    values = tuple(equations.parameters.values())
+    try:
+        equations.matrices(values)
+        for start in (equations.x0, equations.xhat0):
+            equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
+            if equations.channel is not None:
+                equations.channel.direction(start, (0.0,) * len(equations.inputs), values)
+    except (ArithmeticError, ValueError, NameError, TypeError) as error:
+        raise ModelError.report(
+            f"{model.name} at its start values",
+            expected=f"matrices and f{' and channel' if equations.channel else ''} that can be evaluated",
+            received=f"{type(error).__name__}: {error}",
+            likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
+        ) from error
+    return equations
 
 
 def linear_part(model: Model, parameters: Mapping[str, float] | None = None) -> LinearPart:
@@ -49,25 +62,3 @@ def linear_part(model: Model, parameters: Mapping[str, float] | None = None) -> 
             likely="a division by zero or the root of a negative number at these parameters",
         )
     return linear
-
-
-def _compiled(model: Model) -> Equations:
-    begin(f"writing the equations of {model.name} as code")
-    namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
-    exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
-    equations: Equations = namespace["EQUATIONS"]
-    values = tuple(equations.parameters.values())
-    try:
-        equations.matrices(values)
-        for start in (equations.x0, equations.xhat0):
-            equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
-            if equations.channel is not None:
-                equations.channel.direction(start, (0.0,) * len(equations.inputs), values)
-    except (ArithmeticError, ValueError, NameError, TypeError) as error:
-        raise ModelError.report(
-            f"{model.name} at its start values",
-            expected=f"matrices and f{' and channel' if equations.channel else ''} that can be evaluated",
-            received=f"{type(error).__name__}: {error}",
-            likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
-        ) from error
-    return equations

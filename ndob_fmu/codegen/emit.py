@@ -6,6 +6,7 @@ from typing import Any
 
 from ndob_fmu.codegen.build_definitions import build_definitions
 from ndob_fmu.codegen.build_step import build_steps
+from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.codegen.print_python import IMPORTS, print_function
 from ndob_fmu.model.model import Model
 
@@ -24,6 +25,7 @@ _PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
 """
 
 
+@once_per_model
 def emit_python(model: Model) -> str:
     """Return the text of a Python module that defines EQUATIONS for the model.
 

@@ -209,6 +209,13 @@ def test_the_text_is_the_same_each_time_and_evaluates_to_the_same_model(model):
     }
 
 
+def test_a_models_text_is_written_once_and_a_changed_copy_gets_its_own():
+    model = replace(MODELS["dc_motor"])
+    text = emit_python(model)
+    assert emit_python(model) is text
+    assert emit_python(replace(model, description="another")) != text
+
+
 def test_the_text_does_not_depend_on_the_process_that_writes_it():
     """Python's hashes differ from process to process, and with them the order of its sets."""
     script = (
