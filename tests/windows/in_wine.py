@@ -22,8 +22,10 @@ from tests.windows.machine import HOST, PYTHON, ROOT, run, what_is_missing, wind
 FMUS = sorted((ROOT / "build" / "fmus").glob("*.fmu"))
 NAMES = [path.stem for path in FMUS]
 FOLDERS = ["plain", "a b", "ä", "x#y", "it's", "日本", "100%25", "[+],("]
-# Of a signal's range. The observer as it is delivered, for samples without noise, makes 1e-8 N·m of 1e-15 rad.
-EQUAL, EQUAL_AT_HIGHEST_GAIN = 1e-11, 1e-8
+# Of a signal's range. NumPy on Windows has a BLAS of its own: another kernel changes the last digits of the observer's
+# gain, and the estimate by 1e-11 where samples are noisy. As it is delivered, for samples without noise, the observer
+# makes 1e-8 N·m of 1e-15 rad.
+EQUAL, EQUAL_FOR_ANOTHER_KERNEL, EQUAL_AT_HIGHEST_GAIN = 1e-11, 1e-10, 1e-8
 SINE = {"disturbance.kind": 3, "disturbance.amplitude": 1.5, "disturbance.frequency": 0.8}
 OBSERVER = "FlexibleJointObserver"
 VARIANTS = {
@@ -86,7 +88,7 @@ def read(path):
 def scale(columns, variable):
     """The range of a signal; that of the sample for its residual, which is a difference of such numbers."""
     column = columns.get(variable.replace("_residual", "_hat"), columns[variable])
-    return max(np.ptp(column), np.max(np.abs(column)))
+    return max(np.nanmax(column) - np.nanmin(column), np.nanmax(np.abs(column)))
 
 
 @pytest.mark.parametrize("name", [name + variant for name in NAMES for variant in VARIANTS.get(name, {"": {}})])
@@ -94,10 +96,13 @@ def test_each_fmu_gives_linuxs_trajectories_in_fmpy(trajectories, name):
     assert len(NAMES) == 7
     on_windows, on_linux = (found[name] for found in trajectories)
     assert set(on_windows) == set(on_linux)
-    equal = EQUAL_AT_HIGHEST_GAIN if name == OBSERVER else EQUAL
+    equal = {OBSERVER: EQUAL_AT_HIGHEST_GAIN, f"{OBSERVER}, noise": EQUAL_FOR_ANOTHER_KERNEL}.get(name, EQUAL)
     for variable, column in on_linux.items():
-        assert np.max(np.abs(on_windows[variable] - column)) <= equal * scale(on_linux, variable), variable
-    assert any(np.ptp(column) > 0.0 for variable, column in on_linux.items() if variable != "time")
+        found, measured = on_windows[variable], ~np.isnan(column)
+        np.testing.assert_array_equal(~np.isnan(found), measured, variable)  # a sample that was lost is NaN
+        error = np.max(np.abs(found - column)[measured])
+        assert error <= equal * scale(on_linux, variable), variable
+    assert any(np.nanmax(column) > np.nanmin(column) for variable, column in on_linux.items() if variable != "time")
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
