@@ -8,6 +8,7 @@ instance that was alone.
 from __future__ import annotations
 
 import functools
+import math
 import struct
 from collections import Counter
 from collections.abc import Callable
@@ -582,7 +583,8 @@ def _alone(library: Library) -> list[bytes]:
 
 
 def _bits(values) -> bytes:
-    return struct.pack(f"<{len(values)}d", *values)
+    """Return the bits of numbers; of NaN always the same, as its sign means nothing and a state does not keep it."""
+    return struct.pack(f"<{len(values)}d", *(value if value == value else math.nan for value in values))
 
 
 def _same(a: float, b: float) -> bool:
