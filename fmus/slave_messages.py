@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from ndob_fmu.runtime.base_errors import NdobError
+from ndob_fmu.runtime.base_errors import MESSAGE_LIMIT, NdobError
 
 # What computing with impossible numbers raises; LinAlgError is a ValueError.
 _IMPOSSIBLE = (ArithmeticError, ValueError)
-_LONGEST_MESSAGE = 300
 
 
 def failure(where: str, error: Exception) -> NdobError:
@@ -22,7 +21,7 @@ def failure(where: str, error: Exception) -> NdobError:
 def printable(text: str) -> str:
     """Return the text as any host's logger can take it: one line, UTF-8, at most 300 characters, as a printf format."""
     line = " ".join(text.encode("utf-8", "backslashreplace").decode().split())
-    if len(line) > _LONGEST_MESSAGE:
-        half = (_LONGEST_MESSAGE - 1) // 2
+    if len(line) > MESSAGE_LIMIT:
+        half = (MESSAGE_LIMIT - 1) // 2
         line = f"{line[:half]}…{line[-half:]}"
     return "".join(c if c.isprintable() else "?" for c in line).replace("%", "%%")

@@ -23,7 +23,7 @@ from unittest import mock
 from pythonfmu.builder import FmuBuilder
 
 from ndob_fmu.cosim import System, check_ssp, simulate
-from ndob_fmu.errors import NdobError
+from ndob_fmu.errors import MESSAGE_LIMIT, NdobError
 from ndob_fmu.packages import write_ssp
 
 from .options import closing_line, read_options
@@ -31,7 +31,6 @@ from .options import closing_line, read_options
 _SLAVE = Path(__file__).parents[1] / "helpers" / "coupling_slaves" / "gain.py"
 _MOST_MEMORY = 3 * 2**30  # bytes of address space beyond what the process has at the start
 _MOST_SECONDS = 10.0  # of the processors for one archive
-_LONGEST_MESSAGE = 300
 _DESCRIPTION, _SYSTEM = "modelDescription.xml", "SystemStructure.ssd"
 _BOMB = '<!DOCTYPE a [<!ENTITY b "bbbbbbbbbb">' + "".join(f'<!ENTITY b{k} "{"&b;" * 10}">' for k in range(9)) + "]>"
 
@@ -267,7 +266,7 @@ def try_one(target: Target, attack: Attack, place: str, rng: Random) -> tuple[st
         fault = "" if received == target.expected[path.suffix[1:]] else f"gave {received}"
     except NdobError as error:
         verdict, message = "refuse", str(error).replace(str(target.folder), "")
-        fault = f"said {message!r}" if "\n" in message or len(message) > _LONGEST_MESSAGE else ""
+        fault = f"said {message!r}" if "\n" in message or len(message) > MESSAGE_LIMIT else ""
     except Exception as error:
         verdict, fault = "raw exception", repr(error)
     if ATTACKS[attack] not in ("either", verdict):

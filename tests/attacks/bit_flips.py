@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 from pythonfmu.builder import FmuBuilder
 
-from ndob_fmu.errors import NdobError
+from ndob_fmu.errors import MESSAGE_LIMIT, NdobError
 from ndob_fmu.report import write_report
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import read_run, write_run
@@ -45,7 +45,6 @@ y = {{ from = 1.0, to = {highest} }}
 [measures]
 end = {{ of = "Integrator.y", take = "final" }}
 """
-_LONGEST_MESSAGE = 300
 _TRIALS_FOR_A_REPORT = 50  # making a page takes long
 
 
@@ -165,7 +164,7 @@ def try_one(what: str, action: Callable[[], str]) -> tuple[str, str]:
         verdict = action()
     except NdobError as error:
         message = str(error)
-        fault = f"said {message!r}" if "\n" in message or len(message) > _LONGEST_MESSAGE else ""
+        fault = f"said {message!r}" if "\n" in message or len(message) > MESSAGE_LIMIT else ""
         return f"{what}: refused in one line", fault
     except Exception as error:
         return f"{what}: raw exception", repr(error)

@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from pythonfmu.builder import FmuBuilder
 
-from ndob_fmu.errors import NdobError
+from ndob_fmu.errors import MESSAGE_LIMIT, NdobError
 from ndob_fmu.study import read_study
 from ndob_fmu.study.store import Store, read_runs
 
@@ -31,7 +31,6 @@ from .options import closing_line, read_options
 _SLAVE = Path(__file__).parents[1] / "helpers" / "coupling_slaves" / "integrator.py"
 _MOST_MEMORY = 3 * 2**30  # bytes of address space beyond what the process has at the start
 _MOST_SECONDS = 30.0  # of the processors, for a million runs
-_LONGEST_MESSAGE = 300
 _STUDY: dict[str, Any] = {
     "system": "Integrator.fmu",
     "seed": 3,
@@ -203,7 +202,7 @@ def main() -> int:
             except NdobError as error:
                 counts["refused in one line"] += 1
                 message = str(error)
-                fault = f"said {message!r}" if "\n" in message or len(message) > _LONGEST_MESSAGE else ""
+                fault = f"said {message!r}" if "\n" in message or len(message) > MESSAGE_LIMIT else ""
             except Exception as error:
                 counts["raw exceptions"] += 1
                 fault = repr(error)[:300]
