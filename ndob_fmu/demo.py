@@ -24,7 +24,7 @@ _START_UP_TIME = 2.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ExampleResults:
     """The results of the example, arrays (rows,): time in s, d and d̂ in N·m, and ‖x − x̂‖."""
 
     time: NDArray[np.float64]
@@ -59,10 +59,10 @@ class Verdict:
         }
 
 
-def verdict(recording: Recording) -> Verdict:
+def example_results(recording: Recording) -> ExampleResults:
     """Compare the estimates with the true values, both for the end of each step."""
     errors = [recording[f"plant.{state}"] - recording[f"observer.{state}_hat"] for state in STATES]
-    return Verdict(
+    return ExampleResults(
         time=recording.time,
         disturbance=recording[f"plant.{DISTURBANCE}_total"],
         estimate=recording[f"observer.{DISTURBANCE}_hat"],
@@ -80,11 +80,11 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
     wall_time = time.perf_counter() - began
     shorter = min(_START_UP_TIME, float(recording.time[-1]))
 
-    def start_up(**changed: float) -> Verdict:
+    def start_up(**changed: float) -> ExampleResults:
         starts = {**(overrides.get("start_values") or {}), **{f"observer.{name}": v for name, v in changed.items()}}
-        return verdict(simulate(system, **{**overrides, "stop_time": shorter, "start_values": starts}))
+        return example_results(simulate(system, **{**overrides, "stop_time": shorter, "start_values": starts}))
 
-    shown, peaking = verdict(recording), start_up(pi_ramp_time=0.0)
+    shown, peaking = example_results(recording), start_up(pi_ramp_time=0.0)
     everyday = start_up(method=_SAMPLED_DATA)
     summary = {
         **summary_of(system, recording, overrides),
@@ -105,7 +105,7 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
     return summary
 
 
-def _draw_figures(results: Path, shown: Verdict, peaking: Verdict, everyday: Verdict) -> None:
+def _draw_figures(results: Path, shown: ExampleResults, peaking: ExampleResults, everyday: ExampleResults) -> None:
     label = "load torque [N·m]"
     plots.plot_disturbance(
         results / "fig1_disturbance.png",

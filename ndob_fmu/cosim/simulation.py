@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Value
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
@@ -22,6 +21,7 @@ from ndob_fmu.cosim.system.loops import algebraic_loops
 from ndob_fmu.cosim.system.ports import Port
 from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.system.wiring import Wiring, keep_start_values, wire
+from ndob_fmu.cosim.time_grid import TimeGrid
 from ndob_fmu.errors import UsageError, shortened
 from ndob_fmu.results.recording import FailedRunError, Recording
 from ndob_fmu.support.interrupts import interruptible
@@ -68,7 +68,7 @@ def simulate(
     No component and no temporary file outlives the call.
     """
     with interruptible(), open_system(system, step_size) as (opened, experiment):
-        clock = Clock.over(
+        grid = TimeGrid.over(
             _first(start_time, experiment.start_time, 0.0),
             _time("stop time", stop_time, experiment.stop_time),
             _time("step size", step_size, experiment.step_size),
@@ -83,7 +83,7 @@ def simulate(
         wiring = wire(opened, table, starts, order, strict=strict)
         warn(wiring)
         try:
-            found = fixed_step.run(wiring, clock, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
+            found = fixed_step.run(wiring, grid, scheme=scheme, progress=progress, tolerance=_positive(tolerance))
         except FailedRunError as error:
             error.recording = error.recording and _with_outputs(opened, error.recording)
             raise

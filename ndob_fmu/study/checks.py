@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import Any
 
 from ndob_fmu.cosim import System, Value
-from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import recordable
 from ndob_fmu.cosim.default_experiment import DefaultExperiment
 from ndob_fmu.cosim.simulation import warn
 from ndob_fmu.cosim.system.inputs import NO_INPUTS, read_inputs
 from ndob_fmu.cosim.system.ports import Port
 from ndob_fmu.cosim.system.wiring import wire
+from ndob_fmu.cosim.time_grid import TimeGrid
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
 from ndob_fmu.study.points import Points
@@ -66,8 +66,8 @@ def check_times(
         received = "none, and the system has no default"
         raise UsageError.report(f"{file.where}, [simulation]", expected="stop_time and step_size", received=received)
     with _located(f"{file.where}, [simulation]"):
-        clocks = [Clock.over(start or 0.0, stop, step, simulation.output_interval) for step in steps]
-    return steps, min(clock.time(clock.steps - clock.steps % clock.stride) for clock in clocks)
+        grids = [TimeGrid.over(start or 0.0, stop, step, simulation.output_interval) for step in steps]
+    return steps, min(grid.time(grid.steps - grid.steps % grid.stride) for grid in grids)
 
 
 def check_coupling(

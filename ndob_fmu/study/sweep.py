@@ -52,9 +52,10 @@ def sweep(
 ) -> Tally:
     """Do the runs of the study that ``folder`` does not have yet, and return their counts and times.
 
-    workers: processes on this machine, None means one for each core; scheduler: the address of a running scheduler of
-    dask.distributed instead, whose workers have this package installed. retry_failed: do failed runs again. progress:
-    a bar on stderr with rate and time left; None shows it on terminals only.
+    workers: processes on this machine; None means one for each core
+    scheduler: the address of a running scheduler of dask.distributed instead, whose workers have this package installed
+    retry_failed: whether to do failed runs again
+    progress: whether to show a bar on stderr with rate and time left; None shows it on terminals only
 
     A run that fails is a row with its reason. Whatever ends the call, the runs that were finished before are kept, and
     the same call goes on from there. Raises UsageError for a folder that cannot be used or that another call works on,
@@ -75,7 +76,7 @@ def _sweep(
         return Tally(0, 0, 0.0, 0)
     with connected(workers, scheduler) as client, _bar(store, progress) as bar:
         plugin = StudyPlugin(study, own=scheduler is None)
-        with _talking(client):
+        with while_connected(client):
             client.register_plugin(plugin)
         try:
             began = time.perf_counter()
@@ -129,14 +130,14 @@ class _Crew:
                 yield from self._finished(alone=True)
 
     def _submit(self, batch: list[int]) -> None:
-        with _talking(self._client):
+        with while_connected(self._client):
             future = self._client.submit(run_batch, self._plugin, batch, pure=False)
         self._batches[future] = batch
 
     def _finished(self, *, alone: bool = False) -> Iterator[list[dict[str, Any]]]:
         for future in self._wait():
             batch = self._batches.pop(future)
-            with _talking(self._client):
+            with while_connected(self._client):
                 error = future.exception()
                 rows = [] if error else future.result()
             if error is None:
@@ -166,17 +167,17 @@ class _Crew:
         return done
 
     def _done_within(self, seconds: float) -> list[Future]:
-        with _talking(self._client), suppress(TimeoutError):
+        with while_connected(self._client), suppress(TimeoutError):
             return list(wait(list(self._batches), timeout=seconds, return_when="FIRST_COMPLETED").done)
         return []
 
     def _count(self) -> int:
-        with _talking(self._client):
+        with while_connected(self._client):
             return sum(self._client.nthreads().values())
 
 
 @contextmanager
-def _talking(client: Client) -> Iterator[None]:
+def while_connected(client: Client) -> Iterator[None]:
     """Raise SimulationError for what distributed raises where the scheduler is gone; other errors stay as they are.
 
     A client that has lost its scheduler raises errors of many kinds.

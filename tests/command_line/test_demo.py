@@ -12,7 +12,7 @@ import pytest
 from fmpy.util import read_csv
 
 from ndob_fmu.cli import main
-from ndob_fmu.demo import run_demo, verdict
+from ndob_fmu.demo import example_results, run_demo
 from ndob_fmu.results.recording import Recording
 
 PUBLISHED = ["fig1_disturbance.svg", "fig2_state_error.svg", "fig3_peaking.svg", "fig4_start_up.svg"]
@@ -153,4 +153,4 @@ def test_settling_is_the_time_after_which_the_error_never_leaves_its_band(estima
     signals |= {f"observer.{state}_hat": np.zeros(4) for state in STATES}
     signals |= {"plant.load_torque_total": np.full(4, 2.0), "observer.load_torque_hat": np.array(estimate)}
     recording = Recording(np.arange(4.0), tuple(signals), np.column_stack(list(signals.values())))
-    assert verdict(recording).settling_time == settled
+    assert example_results(recording).settling_time == settled

@@ -13,7 +13,7 @@ import pytest
 from ndob_fmu.cli import main
 from ndob_fmu.cosim import open_ssp, simulate
 from ndob_fmu.cosim.system.picture import draw_system
-from ndob_fmu.demo import verdict
+from ndob_fmu.demo import example_results
 from tests.helpers.clean_process import ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
@@ -84,14 +84,14 @@ def test_the_figures_of_the_example_in_the_readme_are_those_of_the_demo(shipped)
         README,
         re.DOTALL,
     ).group(1, 3, 2, 4)
-    shown = verdict(simulate(shipped.systems / "open_loop.ssp"))
+    shown = example_results(simulate(shipped.systems / "open_loop.ssp"))
     assert shown.settling_time == pytest.approx(float(seconds), abs=0.05)
     assert shown.error[shown.time >= float(since)].max() <= float(error)
     tuning = (ROOT / "docs" / "tuning.md").read_text("utf-8")
     observer = (ROOT / "fmus" / "FlexibleJointObserver" / "README.md").read_text("utf-8")
     grows = re.search(r"From 1 to 10 ms the error in the example grows from ([\d.]+) to ([\d.]+) N·m", tuning).groups()
     within = re.search(r"At 1 ms d̂ stays within ([\d.]+) N·m, at 10 ms within ([\d.]+) N·m", observer).groups()
-    coarse = verdict(simulate(shipped.systems / "open_loop.ssp", step_size=1e-2))
+    coarse = example_results(simulate(shipped.systems / "open_loop.ssp", step_size=1e-2))
     for run, grown, bound in zip((shown, coarse), map(float, grows), map(float, within), strict=True):
         worst = run.error[run.time >= float(since)].max()
         assert grown == pytest.approx(worst, rel=0.15)
@@ -100,7 +100,7 @@ def test_the_figures_of_the_example_in_the_readme_are_those_of_the_demo(shipped)
     sampled = simulate(
         shipped.systems / "open_loop.ssp", stop_time=1.0, start_values={"observer.method": "sampled_data"}
     )
-    assert round(verdict(sampled).settling_time / 1e-3) == int(samples)
+    assert round(example_results(sampled).settling_time / 1e-3) == int(samples)
 
 
 def test_the_system_of_the_page_about_systems_is_written_and_runs(pendulum):

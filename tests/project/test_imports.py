@@ -102,7 +102,7 @@ def test_a_folder_imports_only_those_before_it_on_the_way_of_the_data(name):
 # The same inside a folder: what each of its parts may import of the others.
 _RUNTIME_BASE = ("arrays", "base_errors", "memo", "times")
 _RUNTIME_PLANT = (*_RUNTIME_BASE, "numerics", "linear_part", "generated_steps", "equations")
-_COSIM_BASE = ("component", "values", "clock", "default_experiment")
+_COSIM_BASE = ("component", "values", "time_grid", "default_experiment")
 ALLOWED_INSIDE = {
     "runtime": {
         **dict.fromkeys(_RUNTIME_BASE, ()),

@@ -318,7 +318,7 @@ def test_a_fault_inside_distributed_is_not_told_as_a_scheduler_that_does_not_ans
     ],
 )
 def test_an_error_is_told_as_a_lost_scheduler_where_that_is_gone_only(status, raised, told):
-    with pytest.raises(told), sweeping._talking(SimpleNamespace(status=status)):
+    with pytest.raises(told), sweeping.while_connected(SimpleNamespace(status=status)):
         raise raised("words")
 
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.master.schemes import Ending
+from ndob_fmu.cosim.time_grid import TimeGrid
 from ndob_fmu.errors import NdobError, SimulationError, UsageError
 from ndob_fmu.results.recording import FailedRunError, Recording
 from ndob_fmu.runtime.arrays import Array
@@ -17,10 +17,10 @@ from ndob_fmu.runtime.arrays import Array
 class Rows:
     """The rows recorded so far, in memory for all of them."""
 
-    def __init__(self, names: Sequence[str], types: Sequence[str], clock: Clock) -> None:
+    def __init__(self, names: Sequence[str], types: Sequence[str], grid: TimeGrid) -> None:
         """Make room for the whole run; raise UsageError if it does not fit in memory."""
-        self._names, self._types, self._clock = tuple(names), tuple(types), clock
-        self._time, self._columns = _allocate(clock, len(names))
+        self._names, self._types, self._grid = tuple(names), tuple(types), grid
+        self._time, self._columns = _allocate(grid, len(names))
         self._count = 0
         self._ended_early = ""
 
@@ -42,7 +42,7 @@ class Rows:
         at a time that the others have passed.
         """
         part, ended = ending.part, ending.ended
-        self._count = min(self._count, ending.steps // self._clock.stride + 1)
+        self._count = min(self._count, ending.steps // self._grid.stride + 1)
         last = self._count - 1
         row = (values if done <= ending.steps else self._columns[last]).copy()
         self._ended_early = f"component {part.name} ended the simulation at t = {ended.time:.12g} s"
@@ -52,7 +52,7 @@ class Rows:
         except SimulationError:  # an FMU that has ended need not return values; the rows before stay
             return
         row[part.place] = part.outputs
-        if ending.steps > last * self._clock.stride or not self._clock.is_point(ended.time):
+        if ending.steps > last * self._grid.stride or not self._grid.is_point(ended.time):
             last += 1
             self._time[last] = ended.time
         self._columns[last] = row
@@ -72,11 +72,11 @@ class Rows:
             raise FailedRunError(str(error), self.recording() if self._count else None) from error
 
 
-def _allocate(clock: Clock, width: int) -> tuple[Array, Array]:
-    rows = clock.steps // clock.stride + 2  # one more than recorded, for the time at which a component ends the run
+def _allocate(grid: TimeGrid, width: int) -> tuple[Array, Array]:
+    rows = grid.steps // grid.stride + 2  # one more than recorded, for the time at which a component ends the run
     try:
-        # The same expression as Clock.time, so that the two agree to the last bit.
-        time = np.float64(clock.start_time) + np.arange(rows) * clock.stride * clock.step_size
+        # The same expression as TimeGrid.time, so that the two agree to the last bit.
+        time = np.float64(grid.start_time) + np.arange(rows) * grid.stride * grid.step_size
         return time, np.empty((rows, width))
     except (MemoryError, ValueError, OverflowError) as error:
         raise _too_long(rows, width) from error

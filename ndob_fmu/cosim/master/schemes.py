@@ -7,21 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.component import Ended
 from ndob_fmu.cosim.system.wiring import Lane
+from ndob_fmu.cosim.time_grid import TimeGrid
 from ndob_fmu.runtime.arrays import Array
 
 
 class Part:
     """A component with the memory for its values. Its inputs hold the values that the bus has before the step."""
 
-    def __init__(self, lane: Lane, bus: Array, clock: Clock) -> None:
+    def __init__(self, lane: Lane, bus: Array, grid: TimeGrid) -> None:
         self.component = lane.component
         self.name = lane.name
         self.place = lane.outputs
         self.ratio = lane.ratio
-        self.step_size = lane.ratio * clock.step_size
+        self.step_size = lane.ratio * grid.step_size
         self.outputs = bus[lane.outputs]
         self._bus = bus
         self._lane = lane
@@ -33,7 +33,7 @@ class Part:
         self._on_bus = bus[first : first + len(lane.inputs)] if in_order and not lane.scaled else None
 
     def receive(self, k: int) -> None:
-        """Give the component the inputs for a step that begins while the clock is at t_k."""
+        """Give the component the inputs for a step that begins while the master is at t_k."""
         if not self._has_inputs:
             return
         if self._on_bus is not None:
@@ -65,8 +65,8 @@ class ExtrapolatedPart(Part):
     not finite, so that a lost sample affects one step and not two.
     """
 
-    def __init__(self, lane: Lane, bus: Array, slopes: Array, clock: Clock) -> None:
-        super().__init__(lane, bus, clock)
+    def __init__(self, lane: Lane, bus: Array, slopes: Array, grid: TimeGrid) -> None:
+        super().__init__(lane, bus, grid)
         self._slopes = slopes
         self._own_slopes = slopes[lane.outputs]
         self._before = np.empty_like(self.outputs)
@@ -113,15 +113,15 @@ def earliest(before: Ending | None, found: Ending) -> Ending:
     return found if before is None or found.ended.time < before.ended.time else before
 
 
-def _parallel(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
+def _parallel(parts: Sequence[Part], grid: TimeGrid, k: int) -> Ending | None:
     ending = None
     for part in parts:
         # A step that would end after the stop time shows in no row.
-        if k % part.ratio == 0 and k + part.ratio <= clock.steps:
+        if k % part.ratio == 0 and k + part.ratio <= grid.steps:
             part.receive(k)
-            ended = part.component.step(clock.time(k), part.step_size)
+            ended = part.component.step(grid.time(k), part.step_size)
             if ended is not None:
-                ending = earliest(ending, Ending(part, ended, clock.reached(ended.time)))
+                ending = earliest(ending, Ending(part, ended, grid.reached(ended.time)))
                 if ending.steps <= k:
                     return ending
     for part in parts:
@@ -130,41 +130,41 @@ def _parallel(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
     return ending
 
 
-def _sequential(parts: Sequence[Part], clock: Clock, k: int) -> Ending | None:
+def _sequential(parts: Sequence[Part], grid: TimeGrid, k: int) -> Ending | None:
     ending = None
     for part in parts:
-        # A longer step is made when the clock reaches its end, so that its inputs are those of the end.
+        # A longer step is made when the master reaches its end, so that its inputs are those of the end.
         if (k + 1) % part.ratio == 0:
             part.receive(k)
-            ended = part.component.step(clock.time(k + 1 - part.ratio), part.step_size)
+            ended = part.component.step(grid.time(k + 1 - part.ratio), part.step_size)
             if ended is not None:
-                ending = earliest(ending, Ending(part, ended, clock.reached(ended.time)))
+                ending = earliest(ending, Ending(part, ended, grid.reached(ended.time)))
                 if ending.steps <= k:
                     return ending
             part.arrive()
     return ending
 
 
-def _held(lanes: Sequence[Lane], bus: Array, clock: Clock) -> list[Part]:
-    return [Part(lane, bus, clock) for lane in lanes]
+def _held(lanes: Sequence[Lane], bus: Array, grid: TimeGrid) -> list[Part]:
+    return [Part(lane, bus, grid) for lane in lanes]
 
 
-def _extrapolated(lanes: Sequence[Lane], bus: Array, clock: Clock) -> list[Part]:
+def _extrapolated(lanes: Sequence[Lane], bus: Array, grid: TimeGrid) -> list[Part]:
     slopes = np.zeros_like(bus)
-    return [ExtrapolatedPart(lane, bus, slopes, clock) for lane in lanes]
+    return [ExtrapolatedPart(lane, bus, slopes, grid) for lane in lanes]
 
 
 class Scheme(NamedTuple):
     """How a communication step is made.
 
-    parts: (lanes, bus, clock) → a part for each lane.
-    advance: (parts, clock, k) steps the parts to t_{k+1}. It returns the ending if a part has ended the simulation; if
+    parts: (lanes, bus, grid) → a part for each lane.
+    advance: (parts, grid, k) steps the parts to t_{k+1}. It returns the ending if a part has ended the simulation; if
         that was before t_{k+1}, the bus is left as it is.
     in_turn: parts step one after another, so that the bus may have values of t_{k+1} when a part ends.
     """
 
-    parts: Callable[[Sequence[Lane], Array, Clock], list[Part]]
-    advance: Callable[[Sequence[Part], Clock, int], Ending | None]
+    parts: Callable[[Sequence[Lane], Array, TimeGrid], list[Part]]
+    advance: Callable[[Sequence[Part], TimeGrid, int], Ending | None]
     in_turn: bool = False
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ndob_fmu.cosim.clock import Clock
 from ndob_fmu.cosim.system.ports import Link, Port
 from ndob_fmu.cosim.system.system import System
+from ndob_fmu.cosim.time_grid import TimeGrid
 from ndob_fmu.errors import CouplingError, UsageError
 from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.runtime.arrays import Array
@@ -29,16 +29,16 @@ class InputTable:
     time: Array
     values: Array
 
-    def player(self, clock: Clock) -> Callable[[int, Array], None]:
+    def player(self, grid: TimeGrid) -> Callable[[int, Array], None]:
         """Return a function of (k, bus) that writes into ``bus``, (len(ports),), the row that holds at t_k.
 
         That is the latest row with time ≤ t_k, the last one where several have the same time; k must not decrease
         from call to call. Raises UsageError if the first row comes after the start.
         """
         # A row is meant for a communication point even if the file's decimal and t_k round to neighbouring doubles.
-        first_steps = np.ceil((self.time - clock.start_time) / clock.step_size - 1e-9).tolist()
+        first_steps = np.ceil((self.time - grid.start_time) / grid.step_size - 1e-9).tolist()
         if first_steps[0] > 0:
-            expected = f"a row at or before the start, {clock.start_time:g} s"
+            expected = f"a row at or before the start, {grid.start_time:g} s"
             raise UsageError.report("input file", expected=expected, received=f"its first row at {self.time[0]:g} s")
         row = -1
 

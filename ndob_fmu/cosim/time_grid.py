@@ -12,7 +12,7 @@ _SAME_POINT = 1e-6  # of a step: a component reports a time that it has added up
 
 
 @dataclass(frozen=True)
-class Clock:
+class TimeGrid:
     """Communication points t_k = start_time + k·step_size, k = 0 … steps; every ``stride``-th one is recorded."""
 
     start_time: float
@@ -21,10 +21,10 @@ class Clock:
     stride: int
 
     @classmethod
-    def over(cls, start_time: float, stop_time: float, step_size: float, output_interval: float | None) -> Clock:
+    def over(cls, start_time: float, stop_time: float, step_size: float, output_interval: float | None) -> TimeGrid:
         """Return the grid from start to stop time (s); no output interval means that every point is recorded.
 
-        When the stop time is no multiple of the output interval, the last row is the last multiple before it.
+        When the stop time is not a multiple of the output interval, the last row is the last multiple before it.
         Raises UsageError for times that are not finite, a step size or output interval that is not positive, a stop
         time that is not after the start time, or a ratio that is not a whole number within 1e-9.
         """
@@ -55,11 +55,11 @@ class Clock:
         return math.floor((time - self.start_time) / self.step_size + _SAME_POINT)
 
     def is_point(self, time: float) -> bool:
-        """Return whether ``time`` (s) is a communication point, but for rounding."""
+        """Return whether ``time`` (s) is a communication point, up to rounding."""
         steps = (time - self.start_time) / self.step_size
         return abs(steps - round(steps)) <= _SAME_POINT
 
-    def until(self, steps: int) -> Clock:
+    def until(self, steps: int) -> TimeGrid:
         """Return the grid that ends after ``steps`` steps, if it does not end before."""
         return replace(self, steps=min(steps, self.steps))
 
