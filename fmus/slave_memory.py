@@ -1,4 +1,4 @@
-"""FMI's functions for states, as pythonfmu calls them: an instance's memory taken, given back, written and read."""
+"""FMI's functions for states, as pythonfmu calls them: an instance's memory saved, restored, written and read."""
 
 from __future__ import annotations
 

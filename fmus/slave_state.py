@@ -25,11 +25,14 @@ _DTYPES = ("<f8", "<i8", "|b1")
 class Snapshot:
     """All that a slave remembers.
 
-    slave: the class that it is of, whose module carries the digest of its code.
+    slave: the name of its class, whose module carries the digest of its code.
     values: of its variables, by value reference.
     started_with: the parameters of the core, None before it is made.
     core: its state, None before it is made.
-    start_time, stop_time, time, the end of the last step, and step_size, its length, 0 before the first (s).
+    initializing, stale: as in `RememberingSlave`.
+    start_time, stop_time: of the experiment (s).
+    time: the end of the last step (s).
+    step_size: the length of the last step (s), 0 before the first.
     """
 
     slave: str

@@ -13,7 +13,7 @@ from ndob_fmu.runtime.base_errors import NdobError
 # The Python type of each type of FMI, and the range of its Integer.
 PYTHON_TYPES = {"Real": float, "Boolean": bool, "Integer": int, "Enumeration": int, "String": str}
 _INTEGERS = range(-(2**31), 2**31)
-# What a host gets that asks for values by wrong references. FMI accesses Enumerations as Integers.
+# What a host gets if it asks for values by wrong references. FMI accesses Enumerations as Integers.
 NOTHING = {"Real": nan, "Boolean": False, "Integer": 0, "String": ""}
 _ACCESSED_AS = {"Enumeration": "Integer"}
 
@@ -70,7 +70,7 @@ class Variables:
         return NdobError.report("value reference", expected=f"one of a {kind} variable", received=str(unknown))
 
     def set_parameter(self, reference: int, value: Any, mode: str) -> NdobError | None:
-        """Set what is no input, in one of FMI's modes, or return what is wrong with that.
+        """Set a variable that is not an input, in one of FMI's modes, or return what is wrong with that.
 
         A parameter keeps also a value that cannot be used: a host that overlooks the status must not run with another
         value than it set.

@@ -57,7 +57,7 @@ def write_ssp(
     without any keeps to what libcosim, ecos, OMSimulator and fmpy read. An input that nothing drives goes with the
     start value of its FMU, and a warning is logged.
 
-    Raises CouplingError for a component that is no FMU, and start values that contradict a name at the boundary;
+    Raises CouplingError for a component that is not an FMU, and start values that contradict a name at the boundary;
     UsageError for step ratios without step_size and a file that cannot be written.
     """
     experiment = DefaultExperiment(start_time, stop_time, step_size)

@@ -22,11 +22,14 @@ START_VALUES = "start_values.json"  # fmus/slave_start_values.py reads it
 
 @dataclass(frozen=True)
 class Bundle:
-    """Texts by relative path; `entry` is the script that pythonfmu loads, `digest` that of all the others."""
+    """What an FMU carries in resources/.
+
+    files: texts, by relative path
+    entry: the path of the script that pythonfmu loads
+    """
 
     files: Mapping[str, str]
     entry: str
-    digest: str
 
 
 def bundle(
@@ -77,9 +80,8 @@ def bundle(
         f"        def __init__(self, **kwargs):\n"
         f"            super().__init__({''.join(f'{name}, ' for name in arguments)}**kwargs)\n"
     )
-    digest = _digest(files | {"": entry_text})
-    entry = f"{class_name}_{digest}.py"
-    return Bundle(files={**files, entry: entry_text}, entry=entry, digest=digest)
+    entry = f"{class_name}_{_digest(files | {'': entry_text})}.py"
+    return Bundle(files={**files, entry: entry_text}, entry=entry)
 
 
 def _texts(folder: Path, pattern: str) -> dict[str, str]:

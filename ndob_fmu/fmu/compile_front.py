@@ -48,6 +48,8 @@ class Platform:
     variable: the environment variable that names the compiler
     compilers: the commands that are tried without it
     other: the ending of the sources that are for another platform
+    flags, libraries: of the compiler command, besides those of all platforms
+    lost: the warning where no front can be compiled; %s is the reason
     """
 
     name: str

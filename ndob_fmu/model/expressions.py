@@ -32,7 +32,7 @@ class Expressions:
     ) -> sympy.ImmutableMatrix:
         """Return a matrix of this shape in the allowed symbols; `why` says where the shape comes from.
 
-        Raises ModelError for another shape, and for entries that are no finite real expressions in these symbols.
+        Raises ModelError for another shape, and for entries other than finite real expressions in these symbols.
         """
         if value is None and 0 in shape:
             return sympy.ImmutableMatrix.zeros(*shape)

@@ -107,7 +107,7 @@ def _disturbance(record: RecordedRun, component: str, name: str) -> Figure:
 
 
 def _quality(record: RecordedRun, component: str, error: Array, std: Array, unit: str) -> str:
-    """Return how large the error is in the second half, and how often it lies within the band: a start is no rule."""
+    """Return how large the error is in the second half, and how often it lies within the band, without the start."""
     late = record.time >= 0.5 * (record.time[0] + record.time[-1])
     judged = late & np.isfinite(error) & ~_coasting(record, component)
     if not judged.any():

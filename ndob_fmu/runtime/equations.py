@@ -23,10 +23,14 @@ HIGHEST_ORDER = 3
 class ObserverDefaults:
     """Start values of the observer FMU's tuning.
 
-    method: 1 = the paper's observer, 2 = sampled-data design. disturbance_order r = 0 … 3; noise_std: of a sample, in
-    the outputs' units, 0 for none; disturbance_rate (q2,): bound of |d^{(r)}| in units of d per s^r, None for that of
-    a sine of 1 Hz at the disturbance's bound, 0 to leave the pace to pi_end. α in 1/s; π goes from `pi_start` to
-    `pi_end` in `pi_ramp_time` s.
+    method: 1 for the paper's observer, 2 for the sampled-data design
+    disturbance_order: r = 0 … 3
+    noise_std: of a sample, in the outputs' units; 0 for no noise
+    disturbance_rate: bound of |d^{(r)}|, in units of d per s^r, one number or (q2,). None: that of a sine of 1 Hz at
+        the disturbance's bound. 0: the pace follows from pi_end
+    alpha: α in 1/s
+    pi_start, pi_end: π at the start and after the ramp
+    pi_ramp_time: in s
     """
 
     method: int = 2
@@ -41,7 +45,13 @@ class ObserverDefaults:
 
 @dataclass(frozen=True)
 class SignalDefaults:
-    """Start values of the plant FMU's built-in disturbance generator; `runtime.blocks.disturbance` has the kinds."""
+    """Start values of the plant FMU's built-in disturbance generator.
+
+    kind: a name in `runtime.blocks.disturbance.KINDS`
+    amplitude: in the unit of the disturbance
+    frequency: in Hz
+    start_time: in s
+    """
 
     kind: str = "none"
     amplitude: float = 0.0
@@ -61,8 +71,10 @@ class Experiment:
 class Channel:
     """The direction n (k,) in which one disturbance acts: ẋ = … + G_d w with the lumped inputs w = n(x, u) d.
 
-    direction(x, u, p) returns n as a tuple of k numbers, derivatives(x, u, w, p) ẋ as a tuple of n. `bound` (k,) bounds
-    |n_j|; `rate` Ω (rad/s) says that the i-th derivative of n_j in time is at most Ω^i times its bound.
+    bound (k,): of each |n_j|
+    rate: Ω (rad/s); the i-th derivative of n_j in time is at most Ω^i times its bound
+    direction: direction(x, u, p) returns n, a tuple of k numbers
+    derivatives: derivatives(x, u, w, p) returns ẋ, a tuple of n numbers
     """
 
     bound: tuple[float, ...]
@@ -80,10 +92,17 @@ def lumped_names(disturbance: str, k: int) -> tuple[str, ...]:
 class Equations:
     """ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x, with everything a component needs to name and start it.
 
-    matrices(p) returns A, B, C, G_f, G_d as nested tuples; nonlinearity(x, u, p) f as a tuple of q1 numbers;
-    derivatives(x, u, d, p) ẋ as a tuple of n. `p` holds the parameters in the order of `parameters`. `f_states` are the
-    indices of the states that f depends on, `lipschitz` its constant γ. With a `channel` there is n(x, u) d in place
-    of d, which is one disturbance then.
+    Names, units, descriptions and start values are those of `model.Model`. Functions take the parameters p in the order
+    of `parameters`.
+
+    lipschitz: γ of eq. (3)
+    f_states: indices of the states that f depends on
+    matched: whether f and d enter through the same channel (eq. 1)
+    matrices: matrices(p) returns A, B, C, G_f, G_d as nested tuples
+    nonlinearity: nonlinearity(x, u, p) returns f, a tuple of q1 numbers
+    derivatives: derivatives(x, u, d, p) returns ẋ, a tuple of n numbers
+    steps: the steps of plant and observer as generated code
+    channel: the direction n in which the one disturbance acts: n(x, u) d in place of d; None without a channel
     """
 
     name: str

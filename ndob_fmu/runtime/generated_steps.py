@@ -10,7 +10,11 @@ Numbers: TypeAlias = tuple[float, ...]
 
 
 class Trial(NamedTuple):
-    """A substep that was tried: x after it (n,), and the norm of its error, at most 1 where it may be accepted."""
+    """A substep that was tried.
+
+    x: the state after it (n,)
+    error_norm: the norm of its error, at most 1 where the substep may be accepted
+    """
 
     x: Numbers
     error_norm: float
@@ -33,7 +37,7 @@ class ConvergedGain:
 
 
 class ObserverStep(NamedTuple):
-    """What a step of the observer returns; ξ̂ = [x̂; δ₁ δ₂ δ₃] with the derivatives δ of d̂, (n + 3 q2,).
+    """What a step of the observer returns. ξ̂ = [x̂; δ₁ δ₂ δ₃], (n + 3 q2,), where δ₁ is d̂, δ₂ and δ₃ its derivatives.
 
     xi_hat: ξ̂⁻ at the end of the step
     xi_at_sample: ξ̂ after the correction by the sample
@@ -58,13 +62,13 @@ ObserverStepFunction: TypeAlias = Callable[
 
 @dataclass(frozen=True)
 class Steps:
-    """The work of a step as straight-line functions on scalars; they do what the steps `by_definition` do with NumPy.
+    """The steps as generated functions on scalars. They do what the steps `by_definition` do with NumPy.
 
-    plant_constants(p), observer_constants(p): all that the steps need of the parameters, passed on as k
-    plant_trial(x, u, d, k, h): tries a substep h (s), with d (6 q2,) one after another at the nodes of `integrate`
-    observer_step(xi_hat, inputs, k, gain, H): a whole step H (s) with the converged gain, from ξ̂⁻; inputs (m + p,) are
-        u and the sample y. None where the sample is outside the gate, an input is not finite, or the substeps do not
-        reach the end. With a channel, its disturbances are the lumped inputs.
+    plant_constants(p), observer_constants(p): return all that the steps need of the parameters, passed on as k
+    plant_trial(x, u, d, k, h): tries a substep h (s); d (6 q2,) holds the disturbances at the nodes of `integrate`
+    observer_step(xi_hat, inputs, k, gain, H): takes a whole step H (s) from ξ̂⁻ with the converged gain; inputs (m + p,)
+        are u and the sample y. Returns None where the sample is outside the gate, an input is not finite, or the
+        substeps do not reach the end. With a channel, its disturbances are the lumped inputs.
     """
 
     plant_constants: Callable[[Sequence[float]], Numbers] = field(repr=False)

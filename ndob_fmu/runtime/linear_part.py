@@ -12,9 +12,12 @@ from ndob_fmu.runtime.arrays import Array
 
 @dataclass(frozen=True)
 class LinearPart:
-    """The constant matrices of ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x (eq. 20; eq. 1 where G_f is G_d).
+    """The constant matrices of ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x.
 
-    A (n,n), B (n,m), C (p,n), G_f (n,q1), G_d (n,q2); `matched` says that f and d enter through the same channel.
+    That is eq. (20), and eq. (1) where G_f = G_d.
+
+    A (n,n), B (n,m), C (p,n), G_f (n,q1), G_d (n,q2): the matrices
+    matched: whether f and d enter through the same channel
     """
 
     A: Array

@@ -1,4 +1,4 @@
-"""Times that are sums of steps: equal but for rounding."""
+"""Comparison of times that are sums of steps and differ by rounding."""
 
 from __future__ import annotations
 

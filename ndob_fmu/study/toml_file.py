@@ -88,7 +88,7 @@ class TomlTable:
 
 
 def read_toml(path: Path) -> TomlTable:
-    """Return the whole file; raise UsageError if it cannot be read or is no TOML, with the line and what is there.
+    """Return the whole file; raise UsageError if it cannot be read or is not TOML, with the line and what is there.
 
     Numbers fit into 64 bits, tables and lists are nested at most some levels deep.
     """

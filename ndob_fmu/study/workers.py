@@ -46,7 +46,7 @@ class StudyPlugin(WorkerPlugin):  # type: ignore[misc] # distributed counts as u
         self._own = own
 
     def setup(self, worker: Worker) -> None:
-        """Lay down the study's files."""
+        """Write the study's files into a folder of this worker."""
         if self._own and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which then ends its workers
         self._log = logging.getLogger("ndob_fmu.cosim")

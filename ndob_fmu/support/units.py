@@ -60,7 +60,7 @@ class BaseUnit:
 def base_unit(name: str) -> BaseUnit | None:
     """Return what a unit in Modelica's notation means; None for a broken power like cm2.5, for which FMI has no form.
 
-    Raises ModelError for a text that is no unit.
+    Raises ModelError for a text that is not a unit.
     """
     # As in Modelica a dot multiplies and a power follows its unit at once: kg.m2/s2.
     formula = re.sub(r"(?<=[A-Za-z])\^?(-?\d+(?:\.\d+)?)", r"**(\1)", name)
@@ -84,7 +84,7 @@ def base_unit(name: str) -> BaseUnit | None:
 def _not_a_unit() -> tuple[type[Exception], ...]:
     import pint
 
-    # pint raises these for a text that is no unit. Any other error, like a plain AttributeError, is a library's fault.
+    # pint raises these for a text that is not a unit. Other errors, like a plain AttributeError, are a library's fault.
     return (pint.PintError, tokenize.TokenError, ArithmeticError, AssertionError, KeyError, TypeError, ValueError)
 
 

@@ -31,7 +31,7 @@ def read_experiment(where: str, root: Element) -> DefaultExperiment:
 def read_step_ratios(where: str, system: Element, step_size: float | None) -> dict[str, int]:
     """Return the components that have a step size of their own, in communication steps of `step_size` (s).
 
-    Raises UsageError where that is no whole number.
+    Raises UsageError where that is not a whole number.
     """
     ratios = {}
     for name, element in components(system):

@@ -53,8 +53,8 @@ def description_files(
 ) -> dict[str, bytes]:
     """Return the XML files of the package by their names.
 
-    Raises CouplingError for a component that is no FMU, and a name at the boundary whose variables start with values
-    that contradict it; UsageError for step ratios without a step size.
+    Raises CouplingError for a component that is not an FMU, and a name at the boundary whose variables start with
+    values that contradict it; UsageError for step ratios without a step size.
     """
     exposed = {link.port for links in system.inputs.values() for link in links}
     undriven = undriven_inputs(system, exposed)

@@ -35,8 +35,8 @@ class System:
         System().add("plant", "Plant.fmu").add("observer", "Observer.fmu").connect("plant.y", "observer.y")
 
     Raises CouplingError for an unknown component or variable, a wrong causality or type, units that no factor converts,
-    a factor or offset of what is no Real, and an input with two drivers; UsageError for a start value that its variable
-    cannot take, a factor or offset that is not finite, and a ratio that is not a whole number from 1 on.
+    a factor or offset of a variable that is not Real, and an input with two drivers; UsageError for a start value that
+    its variable cannot take, a factor or offset that is not finite, and a ratio that is not a whole number from 1 on.
     """
 
     components: Mapping[str, Component] = field(default_factory=dict)

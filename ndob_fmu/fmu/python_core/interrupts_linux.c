@@ -10,7 +10,7 @@
 static volatile sig_atomic_t inside, held[NSIG], any_held;
 static volatile sig_atomic_t passed_on = 1; /* since the last call began */
 static struct sigaction before[NSIG];
-static bool holding[NSIG]; /* until it is given back: handlers that others set over this one pass signals on to it */
+static bool holding[NSIG]; /* until it is restored: handlers that others set over this one pass signals on to it */
 static bool holds_any;
 
 static bool main_thread(void) {

@@ -31,7 +31,7 @@ typedef struct {
 #define MOST_SETTINGS 16
 typedef struct {
     char *text; /* the file; the strings below lie in it */
-    Setting settings[MOST_SETTINGS]; /* the lines that are no variables */
+    Setting settings[MOST_SETTINGS]; /* the lines that do not declare variables */
     size_t setting_count;
     const char *guid;
     Variable *variables; /* by value reference */
@@ -69,7 +69,7 @@ __attribute__((format(printf, 3, 4))) void log_line(Log *log, fmi2Status status,
 /* The logger that the core gets, with a Log as its environment. */
 void log_from_core(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
                     fmi2String message, ...);
-/* Return the categories' bits, and in `unknown` the first name that is no category. */
+/* Return the categories' bits, and in `unknown` the first name that is not a category. */
 unsigned log_categories(size_t count, const fmi2String names[], const char **unknown);
 
 /* -- utf8.c */

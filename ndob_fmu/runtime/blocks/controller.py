@@ -41,15 +41,18 @@ class Target:
 
 @dataclass(frozen=True)
 class Controller:
-    """start() → target; step(target, reference, x̂, d̂) → (target, u). The target is kept as Newton's first guess only.
+    """State feedback to the equilibrium x*, u*, which is kept from step to step as Newton's first guess only.
 
         0 = A x* + B u* + G_f f(x*, u*) + G_d d̂,   S x* = r          equilibrium, solved by Newton's method
         u = u* − K (x̂ − x*),   |u| ≤ limit
 
-    K (m,n) is `gain`; S (m,n) has a row for each of the `regulated` states or outputs; `limit` (m,), 0 for none; d̂ is
-    taken to be 0 without `compensation`. Where d acts through the inputs' channel (G_d = B Γ), x* does not depend on d̂
-    and u* contains −Γ d̂: the compensation is exact at any pace. Elsewhere it is exact for the regulated outputs once d̂
-    is constant.
+    Where d acts through the inputs' channel (G_d = B Γ), x* does not depend on d̂ and u* contains −Γ d̂: the compensation
+    is exact at any pace. Elsewhere it is exact for the regulated outputs once d̂ is constant.
+
+    regulated: the m states or outputs that follow references; each is a row of S (m,n)
+    gain: K (m,n)
+    limit (m,): of each |u|; 0 for no limit
+    compensation: whether d̂ counts; otherwise it is taken to be 0
     """
 
     equations: Equations
@@ -74,7 +77,7 @@ class Controller:
     def start(self) -> Target:
         """Return the equilibrium with all references and disturbances at 0; if there is none, one near the plant's x0.
 
-        An empty tank or a shut valve is no point to linearise at, because an input that enters through f may have no
+        An empty tank or a shut valve is not a point to linearise at, because an input that enters through f may have no
         effect there. Raises DesignError if there is no equilibrium, or none that the inputs determine.
         """
         eq = self.equations

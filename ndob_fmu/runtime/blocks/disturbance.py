@@ -11,11 +11,14 @@ CHIRP_TIME = 10.0
 
 @dataclass(frozen=True)
 class Generator:
-    """One disturbance d(t), with τ = t − start_time in s:
+    """One disturbance d(t), by its kind. All but the constant are 0 before τ = t − start_time = 0 (s).
 
-    none: 0; constant: amplitude at all times; and from τ = 0 on (0 before)
-    ramp: amplitude·τ; sine: amplitude·sin(2π frequency τ); step: amplitude;
-    chirp: a sine whose frequency rises linearly from 0 to `frequency` (Hz) in 10 s and stays there.
+    none: 0
+    constant: amplitude, at all times
+    ramp: amplitude·τ
+    sine: amplitude·sin(2π frequency τ), with the frequency in Hz
+    step: amplitude
+    chirp: a sine whose frequency rises linearly from 0 to `frequency` in 10 s and stays there
     """
 
     kind: int = KINDS["none"]

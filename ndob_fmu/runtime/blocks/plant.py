@@ -31,14 +31,14 @@ class PlantState:
 
 @dataclass(frozen=True)
 class Plant:
-    """init(x₀, t₀) → state; step(state, u, d, t_end) → state. One generator per disturbance, in order."""
+    """The plant at given parameters, with one generator for each disturbance in their order."""
 
     equations: Equations
     parameters: Vector
     generators: Sequence[Generator]
 
     def init(self, x: Vector, t: float) -> PlantState:
-        """Return the state that starts from x (n,) at time t."""
+        """Return the state that starts from x (n,) at time t (s)."""
         return PlantState(x=tuple(map(float, x)), t=t, substep=inf)
 
     def possible(self, state: PlantState) -> bool:
@@ -103,7 +103,7 @@ class Plant:
         return trial
 
     def _derivatives(self, u: Vector, d: Vector, begin: float, end: float) -> Callable[[float, Array], Array]:
-        """Return ẋ as a function of the time since `begin` and x (n,); jumps of d at `end` are not seen."""
+        """Return ẋ as a function of the time since `begin` and x (n,); d has not yet jumped at `end`."""
         last_inside = nextafter(end, begin)
 
         def derivatives(since: float, x: Array) -> Array:

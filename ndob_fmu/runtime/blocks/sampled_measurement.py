@@ -39,7 +39,7 @@ class SampledState:
 
 @dataclass(frozen=True)
 class SampledMeasurement(ABC):
-    """A sampling device: init(value, t₀) → state; step(state, value, t_end, step_size) → state.
+    """A sampling device: `init` returns its state at the start, `step` that at the end of a step.
 
     Values are in the unit of the measured quantity, times in s. A sample is value + bias + noise, rounded to a multiple
     of the device's resolution. The first sample, taken at t₀, is never lost and shown at once.

@@ -13,7 +13,7 @@ from ndob_fmu.runtime.equations import Equations, Vector, lumped_names
 
 
 def lumped(equations: Equations) -> Equations:
-    """Return the plant with the k lumped inputs w in place of the disturbance: itself where there is no channel."""
+    """Return the plant with the k lumped inputs w in place of d; without a channel the plant itself."""
     channel = equations.channel
     if channel is None:
         return equations

@@ -129,5 +129,5 @@ def _length_after(length: float, error_norm: float) -> float:
 
 
 def largest(ratios: Sequence[float]) -> float:
-    """Return the largest of some numbers ≥ 0, infinity where one of them is no number."""
+    """Return the largest of some numbers ≥ 0, infinity where one of them is NaN."""
     return max(ratios) if isfinite(sum(ratios)) else inf

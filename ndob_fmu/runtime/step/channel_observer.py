@@ -27,8 +27,9 @@ def read_out(
 ) -> Observer[S] | ChannelObserver[S]:
     """Return the observer of the disturbance, for an `observer` of `design.lumping.lumped(equations)`.
 
-    It is `observer` itself where there is no channel. disturbance_bound: D₀ (1,), the error bar of a disturbance that
-    cannot be told.
+    It is `observer` itself where there is no channel.
+
+    disturbance_bound (1,): D₀, the error bar of a disturbance that cannot be told
     """
     if equations.channel is None:
         return observer
@@ -59,7 +60,10 @@ class ChannelState(Generic[S]):
 
 @dataclass(frozen=True)
 class ChannelObserver(Generic[S]):
-    """init(x̂₀) → state; step(state, u, y, H) → (state, estimate): that of `observer`, with d in place of w."""
+    """The observer of d, made from an `observer` of the lumped inputs w.
+
+    disturbance_bound (1,): D₀, the error bar of a d̂ that cannot be told
+    """
 
     channel: Channel
     parameters: Vector

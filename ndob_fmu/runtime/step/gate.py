@@ -47,8 +47,10 @@ def judge(
 ) -> Verdict:
     """Judge a sample by its innovation (p,).
 
-    last (p,): magnitude of the innovation before. rejected: samples rejected in a row before this one. S_factor (p,p):
-    factor of the innovation's covariance. finite: whether the sample is.
+    last (p,): magnitude of the innovation before
+    rejected: samples rejected in a row before this one
+    S_factor (p,p): factor of the innovation's covariance
+    finite: whether the sample is
     """
     if finite and np.all(np.abs(innovation) <= gate(S_factor, design)):
         return Verdict(used=True, restart=False, rejected=0, innovation=innovation)

@@ -19,7 +19,11 @@ _CONVERGED = 1e-7  # largest change of a correction K e, in standard deviations 
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample against its prediction: innovation (p,), y − C ξ̂⁻, which is 0 where the sample is not finite."""
+    """A sample against its prediction.
+
+    innovation (p,): y − C ξ̂⁻; 0 where the sample is not finite.
+    finite: whether the sample is.
+    """
 
     innovation: Array
     finite: bool
@@ -34,8 +38,10 @@ class Corrected:
     used: whether the sample was; otherwise the step coasts.
     valid: whether the estimate is shown as valid.
     converged: whether the gain is frozen from now on.
-    innovation (p,), rejected: of `Verdict`.
-    age, next_age: samples since the start, before and after this one.
+    innovation (p,): as in `Verdict`.
+    rejected: as in `Verdict`.
+    age: samples since the start, before this one.
+    next_age: the same, this one included.
     """
 
     xi_hat: Array

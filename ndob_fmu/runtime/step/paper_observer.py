@@ -26,8 +26,8 @@ from ndob_fmu.runtime.numerics.hold import History, empty_history
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.times import same_time
 
-# The explicit part of the integration stays accurate while f and ln π change this little over one substep.
 _MOST_SUBSTEPS = 10_000  # in one communication step
+# The explicit part of the integration stays accurate while f and ln π change this little over one substep.
 _LARGEST_LIPSCHITZ_STEP = 0.5
 _LARGEST_LOG_PI_STEP = 0.1
 
@@ -52,13 +52,17 @@ class PaperObserverState:
 
 @dataclass(frozen=True)
 class PaperObserver:
-    """init(x̂₀) → state; step(state, u, y, H) → (state, estimate). Holds no hidden state."""
+    """The observer at given parameters. It remembers nothing between steps but in the state.
+
+    gains: as functions of π along its schedule
+    hold_degree: of the polynomial through the last samples that stands for y(t) within a step
+    """
 
     equations: Equations
     parameters: Vector
     gains: ScheduledGains
     hold_degree: int = 2
-    # It stays the same once π does.
+    # Those of the last substep, which stay the same once π is constant.
     _coefficients: LatestResult[ExponentialStep] = field(default_factory=LatestResult, repr=False, compare=False)
 
     @property

@@ -42,7 +42,11 @@ ORDERS = tuple(range(HIGHEST_ORDER + 1))
 
 @dataclass(frozen=True)
 class SampledObserver:
-    """init(x̂₀) → state; step(state, u, y, H) → (state, estimate)."""
+    """The observer at given parameters. It remembers nothing between steps but in the state.
+
+    designs: the design for each step size
+    start: the covariance before the first sample
+    """
 
     equations: Equations
     parameters: Vector
@@ -293,8 +297,13 @@ def sampled_observer(
 ) -> SampledObserver:
     """Prepare the observer of disturbance order r = 0 … 3; the gain is designed at the first step, which tells H.
 
-    noise_std: σ of every output's sample, 0 for no noise. disturbance_bound D₀ > 0 and disturbance_rate ≥ 0, (q2,): of
-    |d| and |d^{(r)}| (|ḋ| for r = 0); a rate of 0 leaves the pace to `pi`. x_std > 0, (n,): of the error of x_hat (n,).
+    noise_std: σ of every output's sample; 0 for no noise
+    disturbance_bound (q2,): D₀ > 0, the bound of |d|
+    disturbance_rate (q2,): ≥ 0, the bound of |d^{(r)}|, of |ḋ| for r = 0; with 0 the pace follows from `pi`
+    x_hat (n,): the estimate to start from
+    x_std (n,): > 0, the standard deviation of its error
+    alpha, pi: α (1/s), which r = 0 needs, and π, which sets the pace where a rate is 0
+
     Raises DesignError for values outside these ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
     """
     _require("disturbance_order", order in ORDERS, "0, 1, 2 or 3", order)
