@@ -206,7 +206,7 @@ def _text(code: Code, name: str) -> list[str]:
     is_module = (code.root / PACKAGE / f"{name}.py").is_file()
     folder = name if is_module else f"{name}/"
     title = folder + (f"    {', '.join(inside)}" if inside else "")
-    return [title, *textwrap.wrap(says, 88)]
+    return [title, *textwrap.wrap(says.replace("`", ""), 88)]
 
 
 def _box(top: float, height: float, lines: list[str]) -> list[str]:

@@ -113,6 +113,7 @@ def _draw_figures(results: Path, shown: ExampleResults, peaking: ExampleResults,
         shown.disturbance,
         shown.estimate,
         label=label,
+        error_label="|estimate − true| [N·m]",
         settled_at=shown.settling_time,
     )
     plots.plot_state_error(results / "fig2_state_error.png", shown.time, shown.state_error)

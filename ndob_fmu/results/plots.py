@@ -35,9 +35,9 @@ _STYLE: Any = {
 
 
 def plot_disturbance(
-    path: Path, time: Array, true: Array, estimate: Array, *, label: str, settled_at: float | None
+    path: Path, time: Array, true: Array, estimate: Array, *, label: str, error_label: str, settled_at: float | None
 ) -> None:
-    """Write figure 1: the disturbance and its estimate over time in s, and below it their difference."""
+    """Write figure 1: the disturbance and its estimate over time in s, and below it the size of their difference."""
     with figure(path, rows=2) as (above, below):
         above.plot(time, true, "k--", linewidth=1.2, label="true")
         above.plot(time, estimate, color="C0", label="estimate")
@@ -47,7 +47,7 @@ def plot_disturbance(
         above.legend(loc="lower right")
         above.set_title("Disturbance and its estimate")
         _log_magnitude(below, time, estimate - true)
-        below.set_ylabel("|estimate − true|, same unit")
+        below.set_ylabel(error_label)
         below.set_xlabel("time [s]")
 
 
@@ -71,8 +71,9 @@ def plot_peaking(path: Path, scheduled: tuple[Array, Array], at_once: tuple[Arra
         ):
             peak = float(np.max(np.abs(estimate)))
             axes.semilogy(time, np.maximum(np.abs(estimate), 1e-3), color=color, label=f"{text}: peak {peak:.3g}")
-        axes.set_xscale("log")
-        axes.set_xlim(float(at_once[0][1]), float(at_once[0][-1]))
+        # Linear up to the first step, so that the peak at t = 0 is on the axis.
+        axes.set_xscale("symlog", linthresh=float(at_once[0][1]), linscale=0.3)
+        axes.set_xlim(0.0, float(at_once[0][-1]))
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"|{label}|")
         axes.set_title("Peaking that the schedule of π avoids")
@@ -91,7 +92,10 @@ def plot_start_up(path: Path, errors: Mapping[str, tuple[Array, Array]], *, labe
 
 
 def plot_signals(path: Path, recording: Recording) -> None:
-    """Write a figure of every signal over time in s, one panel for each component and unit."""
+    """Write a figure of every signal over time in s, one panel for each component and unit.
+
+    The Booleans of a component have a panel of their own, because one that often changes would hide the other signals.
+    """
     panels = _panels(recording)
     with figure(path, len(panels), height=1.0 + 1.8 * len(panels)) as rows:
         _draw(rows, panels, recording)
@@ -118,19 +122,20 @@ def show(recording: Recording) -> None:
 
 
 def _panels(recording: Recording) -> dict[tuple[str, str], list[str]]:
-    """Return the signals of each component and unit, in the order of the recording."""
+    """Return the signals of each component and label of the axis, in the order of the recording."""
     panels: dict[tuple[str, str], list[str]] = {}
-    for name in recording.names:
+    for name, fmi_type in zip(recording.names, recording.types, strict=True):
         component = name.partition(".")[0] if "." in name else ""
-        panels.setdefault((component, recording.units.get(name, "")), []).append(name)
+        unit = "Boolean" if fmi_type == "Boolean" else recording.units.get(name, "").replace(".", "·") or "1"
+        panels.setdefault((component, f"{component} [{unit}]"), []).append(name)
     return panels
 
 
 def _draw(rows: Iterable[Axes], panels: Mapping[tuple[str, str], Sequence[str]], recording: Recording) -> None:
-    for axes, ((component, unit), names) in zip(rows, panels.items(), strict=True):
+    for axes, ((component, label), names) in zip(rows, panels.items(), strict=True):
         for name in names:
             axes.plot(recording.time, recording[name], linewidth=1.0, label=name.removeprefix(f"{component}."))
-        axes.set_ylabel(f"{component} [{unit.replace('.', '·') or '1'}]")
+        axes.set_ylabel(label)
         axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_xlabel("time [s]")
 

@@ -17,6 +17,7 @@ from hypothesis.extra.numpy import arrays
 from ndob_fmu.errors import UsageError
 from ndob_fmu.results.csv_files import read_csv, write_csv
 from ndob_fmu.results.json_files import read_sealed_json, write_json, write_sealed_json
+from ndob_fmu.results.plots import plot_signals
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.support.files import atomic_folder, atomic_path
 
@@ -252,3 +253,9 @@ def test_what_a_block_cannot_write_is_told_of_the_place_it_writes_to(tmp_path, w
         writer(tmp_path / "target") as new,
     ):
         raise error(new)
+
+
+def test_the_figure_of_the_signals_gives_booleans_axes_of_their_own(tmp_path):
+    plot_signals(tmp_path / "signals.png", with_valid())
+    drawn = (tmp_path / "signals.svg").read_text("utf-8")
+    assert [drawn.count(label) for label in (">a [1]<", ">a [Boolean]<")] == [1, 1]
