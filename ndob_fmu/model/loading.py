@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import runpy
 import traceback
+import zipfile
 from pathlib import Path
 
 from ndob_fmu.errors import ModelError, some_of
@@ -30,6 +31,13 @@ def load_model(source: str | Path) -> Model:
             expected=f"a built-in name ({some_of(BUILT_IN)}) or the path of a Python file that defines `model`",
             received=repr(str(source)),
             likely="a misspelt name, or another working directory",
+        )
+    if zipfile.is_zipfile(path):
+        raise ModelError.report(
+            str(path),
+            expected="a Python file that defines `model`",
+            received="an archive",
+            likely="an FMU or a system package, which `check` (.ssp) and `simulate` take",
         )
     try:
         model = runpy.run_path(str(path)).get("model")

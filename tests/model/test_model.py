@@ -1,5 +1,6 @@
 """The symbolic plant: what its user may write, what is refused and how, and that every back end says the same."""
 
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -389,3 +390,11 @@ def test_a_model_can_be_varied_without_touching_the_original():
 def test_a_description_that_no_model_description_could_carry_is_refused(text):
     assert "text of a: expected characters that XML can carry" in refused(descriptions={"a": text})
     assert "text of description: expected characters that XML can carry" in refused(description=text)
+
+
+def test_an_archive_in_place_of_a_model_file_is_called_one(tmp_path):
+    path = tmp_path / "Plant.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", "")
+    with pytest.raises(ModelError, match="expected a Python file that defines `model`, received an archive"):
+        load_model(path)
