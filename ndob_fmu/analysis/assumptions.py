@@ -16,7 +16,7 @@ from ndob_fmu.analysis.direction import shortest_direction
 from ndob_fmu.analysis.lipschitz import largest_slope
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import UsageError
-from ndob_fmu.model.model import Model
+from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.zeros import RANK_TOLERANCE, Balanced, ComplexArray, balance, pencil_zeros
@@ -35,8 +35,9 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     parameters: values that replace the model's.
 
     An assumption that fails is a row of the report, not an exception. Raises UsageError if α is not a positive number
-    and ModelError for a parameter that the model does not have.
+    or `model` is no Model, and ModelError for a parameter that the model does not have.
     """
+    require_model(model)
     chosen = model.observer.alpha if alpha is None else alpha
     if not (isinstance(chosen, (int, float)) and math.isfinite(chosen) and chosen > 0):
         raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(chosen))

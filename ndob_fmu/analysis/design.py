@@ -11,7 +11,7 @@ from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import sampled_data_design
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
-from ndob_fmu.model.model import Model
+from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.design.lumping import lumped_bound, lumped_rate
 from ndob_fmu.runtime.design.tuning import sine_rate
@@ -45,6 +45,7 @@ def design(
     Raises UsageError for an invalid π, AssumptionError if an assumption of the paper fails, and DesignError for
     other values outside their range, or if a gain is not accurate enough.
     """
+    require_model(model)
     expert = pi
     pi = model.observer.pi_end if pi is None else pi
     alpha = model.observer.alpha if alpha is None else alpha

@@ -16,7 +16,7 @@ from typing import Any
 
 import sympy
 
-from ndob_fmu.errors import ModelError, nearest, one_of
+from ndob_fmu.errors import ModelError, UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import reserved_names
 from ndob_fmu.model.checks import (
     for_each,
@@ -242,3 +242,11 @@ class Model:
         if value is None:
             return default
         return require_numbers(f"{self.name}.{label}", value, len(default), positive=positive)
+
+
+def require_model(value: object) -> None:
+    """Raise UsageError if the value is no Model, for example the path of a model file."""
+    if not isinstance(value, Model):
+        raise UsageError.report(
+            "model", expected="a Model", received=repr(value), likely="`load_model(path)` reads the Model of a file"
+        )

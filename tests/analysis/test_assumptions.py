@@ -10,7 +10,7 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ndob_fmu import check
+from ndob_fmu import build, check, design
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
 from ndob_fmu.model.model import Model
@@ -445,3 +445,9 @@ def test_the_json_form_of_a_failed_report_names_the_cause():
     row = data["rows"][0]
     assert (data["passed"], row["passed"], row["failure"]) == (False, False, "1 outputs for 2 unknown inputs")
     assert row["likely_cause"]
+
+
+@pytest.mark.parametrize("command", [build, check, design])
+def test_a_path_in_place_of_a_model_is_refused_with_the_function_that_reads_it(command):
+    with pytest.raises(UsageError, match=r"expected a Model, received 'plant.py'; likely cause: `load_model"):
+        command("plant.py")
