@@ -1,10 +1,11 @@
 """The accuracy of this package's observer and of what could be used in its place, on one plant, in one table.
 
-    python -m benchmarks.accuracy [--quick] [--must-show] [--out DIR] [--seed N] [--workers N]
+    python -m benchmarks.accuracy [--quick] [--must-show [--rows PATTERN]] [--out DIR] [--seed N] [--workers N]
 
 The plant is the paper's flexible joint, |d| ≤ D₀ = 5. The script runs every estimator over step sizes, disturbances and
 noise and writes `accuracy.md` and `accuracy.png` into DIR, by default `docs`. --must-show prints the figures that the
-observer is required to reach. The same arguments give the same bytes, however many workers there are.
+observer is required to reach, on this plant and on those of `benchmarks/estimator`; with --rows only those of the
+latter whose name contains a regular expression. The same arguments give the same bytes, however many workers there are.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.accuracy_cells import QUICK, Plan, run_all
+from benchmarks.accuracy_cells import QUICK, Plan, in_parallel, run_all
 from benchmarks.accuracy_must_show import as_text, measure
 from benchmarks.accuracy_page import write
+from benchmarks.estimator import figures, must_show
+
+RECORDS = 3  # of every cell on the plants of `benchmarks/estimator`
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,15 +31,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--must-show", action="store_true", help="only print the required figures and the measured ones"
     )
+    parser.add_argument("--rows", metavar="PATTERN", help="of --must-show: only the estimator's rows of such a name")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs", help="default: docs")
     parser.add_argument("--seed", type=int, default=Plan.seed, help="of the measurement noise")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     given = parser.parse_args(arguments)
     plan = replace(QUICK if given.quick else Plan(), seed=given.seed)
-    required = measure(plan, given.workers)
     if given.must_show:
-        print(as_text(required))
+        if given.rows is None:
+            print(as_text(measure(plan, given.workers)), end="\n\n")
+        seeds = range(given.seed, given.seed + RECORDS)
+        print(figures.as_text(must_show.measured(given.rows or "", seeds, in_parallel, given.workers)))
         return 0
+    required = measure(plan, given.workers)
     for path in write(given.out, plan, run_all(plan, given.workers), required):
         print(path)
     return 0

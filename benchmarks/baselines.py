@@ -162,13 +162,13 @@ def _van_loan(A: Array, noise: Array) -> tuple[Array, Array]:
     # The intensities are taken out, so that the series sees entries of size one.
     size = np.max(np.abs(block[:, :N, N:]), axis=(1, 2), keepdims=True)
     block[:, :N, N:] /= size
-    exponential = _exponential(block)
+    exponential = exponential(block)
     Phi = np.swapaxes(exponential[:, N:, N:], 1, 2)
     Q = Phi @ exponential[:, :N, N:]
     return Phi, np.sqrt(size) * np.linalg.cholesky(0.5 * (Q + np.swapaxes(Q, 1, 2)))
 
 
-def _exponential(X: Array) -> Array:
+def exponential(X: Array) -> Array:
     """Return e^X for a batch (B,n,n): Taylor's series to degree 16 in powers of X⁴, after halving X often enough."""
     largest = float(np.max(np.sum(np.abs(X), axis=1)))
     squarings = max(0, ceil(np.log2(max(largest, 1e-300))) + 1)
@@ -235,7 +235,7 @@ def extended_state_observer(
     # [A b 0; 0 0 1; 0 0 0]: an input that runs straight from θ_k, by its rise over the step.
     joined = np.zeros((1, N + 2, N + 2))
     joined[0, :N, :N], joined[0, :N, N], joined[0, N, N + 1] = A, channel, 1.0
-    sampled = _exponential(joined)[0]
+    sampled = exponential(joined)[0]
     Phi, from_start, from_rise = sampled[:N, :N], sampled[:N, N], sampled[:N, N + 1]
     C = np.eye(N)[0]
     rows = [C @ np.linalg.matrix_power(Phi, i + 1) for i in range(N)]
