@@ -162,9 +162,9 @@ def _van_loan(A: Array, noise: Array) -> tuple[Array, Array]:
     # The intensities are taken out, so that the series sees entries of size one.
     size = np.max(np.abs(block[:, :N, N:]), axis=(1, 2), keepdims=True)
     block[:, :N, N:] /= size
-    exponential = exponential(block)
-    Phi = np.swapaxes(exponential[:, N:, N:], 1, 2)
-    Q = Phi @ exponential[:, :N, N:]
+    whole = exponential(block)
+    Phi = np.swapaxes(whole[:, N:, N:], 1, 2)
+    Q = Phi @ whole[:, :N, N:]
     return Phi, np.sqrt(size) * np.linalg.cholesky(0.5 * (Q + np.swapaxes(Q, 1, 2)))
 
 

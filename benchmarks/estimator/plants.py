@@ -112,7 +112,7 @@ JOINT = Plant(
 
 @cache
 def _cylinder_model() -> Model:
-    mass, damping, stiffness, leakage, gain = sympy.symbols("mass damping stiffness leakage gain")
+    mass, damping, stiffness, leakage = sympy.symbols("mass damping stiffness leakage")
     return Model(
         name="Cylinder",
         description="Hydraulic cylinder with a servo valve, in m, m/s and MPa",

@@ -1,4 +1,4 @@
-"""Records of a plant: the truth by Runge–Kutta of order 4, and the samples with their noise, for several seeds at once."""
+"""Records of a plant, for several seeds at once: the truth by Runge–Kutta of order 4, and the samples with noise."""
 
 from __future__ import annotations
 
