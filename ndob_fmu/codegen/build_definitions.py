@@ -1,4 +1,4 @@
-"""What defines a plant, its matrices, f, n and ẋ, as trees of statements."""
+"""What defines a plant, its matrices, f, n, ẋ, y and their derivatives, as trees of statements."""
 
 from __future__ import annotations
 
@@ -6,26 +6,47 @@ from collections.abc import Sequence
 
 import sympy
 
+from ndob_fmu.codegen.hoist import shared
 from ndob_fmu.codegen.program import Argument, Function, Return, Value, assignments, element_of_each
+from ndob_fmu.codegen.slopes import slopes
 from ndob_fmu.model.vector_field import VectorField
 
 
 def build_definitions(field: VectorField) -> list[Function]:
-    """Return matrices, nonlinearity and derivatives; with a channel also direction and lumped_derivatives."""
-    x, u, p = ("_x", field.x), ("_u", field.u), ("_p", field.p)
+    """Return the functions of `runtime.equations.Equations`; with a channel also those of `Channel`."""
+    x, u, d, p = ("_x", field.x), ("_u", field.u), ("_d", field.d), ("_p", field.p)
     matrices = (field.A, field.B, field.C, field.G_f, field.G_d)
     definitions = [
         _function("matrices", [p], [entry for matrix in matrices for entry in matrix], [M.shape for M in matrices]),
         _function("nonlinearity", [x, u, p], field.f),
+        _function("output", [x, u, p], field.outputs),
+        _function("linearisation", [x, u, d, p], _linearisation(field, field.driven_by(field.d), field.d)),
+        _function("sensitivity", [x, u, d, p], _sensitivity(field, field.driven_by(field.d))),
     ]
     if not field.direction:
-        return [*definitions, _function("derivatives", [x, u, ("_d", field.d), p], field.derivatives(field.d))]
-    w = sympy.symbols(f"_w:{len(field.direction)}", real=True)
+        return [*definitions, _function("derivatives", [x, u, d, p], field.derivatives(field.d))]
+    lumped = sympy.symbols(f"_w:{len(field.direction)}", real=True)
+    w = ("_w", lumped)
     return [
         *definitions,
         _function("direction", [x, u, p], field.direction),
-        _function("lumped_derivatives", [x, u, ("_w", w), p], field.derivatives(w)),
+        _function("lumped_derivatives", [x, u, w, p], field.derivatives(lumped)),
+        _function("lumped_linearisation", [x, u, w, p], _linearisation(field, lumped, lumped)),
+        _function("lumped_sensitivity", [x, u, w, p], _sensitivity(field, lumped)),
     ]
+
+
+def _linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
+    """Return [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], row by row, where w(x, d) acts through the columns of G_d."""
+    of_x = field.A + field.G_f * slopes(field.f, field.x) + field.G_d * slopes(w, field.x)
+    of_d = field.G_d * slopes(w, d)
+    rows = sympy.Matrix([[of_x, of_d], [field.C, sympy.zeros(field.C.rows, len(d))]])
+    return list(rows)
+
+
+def _sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+    """Return [[∂ẋ/∂p], [∂y/∂p]], row by row."""
+    return list(slopes([*field.derivatives(w), *field.outputs], field.p))
 
 
 def _function(
@@ -35,12 +56,11 @@ def _function(
     shapes: Sequence[tuple[int, int]] | None = None,
 ) -> Function:
     """Return the function that returns the expressions, as matrices where they have shapes."""
-    temporaries = sympy.numbered_symbols("_t", real=True)
-    shared, reduced = sympy.cse(list(expressions), symbols=temporaries, list=True) if expressions else ([], [])
+    found, reduced = shared(expressions, "t")
     read = [element for array, symbols in arguments for element in element_of_each(symbols, array, expressions)]
     result = tuple(reduced) if shapes is None else _matrices(reduced, shapes)
     return Function(
-        name, tuple(Argument(array) for array, _ in arguments), (*read, *assignments(shared), Return(result))
+        name, tuple(Argument(array) for array, _ in arguments), (*read, *assignments(found), Return(result))
     )
 
 

@@ -11,6 +11,7 @@ from sys import float_info
 
 import sympy
 
+from ndob_fmu.codegen.hoist import shared
 from ndob_fmu.codegen.program import (
     All,
     AnyNonzero,
@@ -90,10 +91,9 @@ def _kept_of_parameters(rhs: RightHandSide, p: Symbols) -> list[tuple[sympy.Symb
 def _constants(name: str, rhs: RightHandSide, p: Symbols) -> Function:
     """Return the function that computes from the parameters what the step takes as `_k`."""
     values = [value for _, value in _kept_of_parameters(rhs, p)]
-    temporaries = sympy.numbered_symbols("_t", real=True)
-    shared, reduced = sympy.cse(values, symbols=temporaries, list=True) if values else ([], [])
+    found, reduced = shared(values, "t")
     return Function(
-        name, _arrays("_p"), (*element_of_each(p, "_p", values), *assignments(shared), Return(tuple(reduced)))
+        name, _arrays("_p"), (*element_of_each(p, "_p", values), *assignments(found), Return(tuple(reduced)))
     )
 
 

@@ -76,9 +76,23 @@ class Hoist:
 
 
 def shared(expressions: Sequence[sympy.Expr], stem: str) -> tuple[Assignments, list[sympy.Expr]]:
-    """Return assignments of what occurs more than once, and the expressions in their names _stem0, _stem1, …."""
+    """Return assignments of what occurs more than once, and the expressions in their names _stem0, _stem1, ….
+
+    A Piecewise is shared as a whole only: a part of a branch that is not taken may have no value.
+    """
     if not expressions:
         return (), []
+    outermost: dict[sympy.Expr, sympy.Symbol] = {}
+    outside = [_without_branches(expression, stem, outermost) for expression in expressions]
     names = sympy.numbered_symbols(f"_{stem}", real=True)
-    found, reduced = sympy.cse(list(expressions), symbols=names, list=True)
-    return tuple(found), reduced
+    found, reduced = sympy.cse(outside, symbols=names, list=True)
+    return (*((name, value) for value, name in outermost.items()), *found), reduced
+
+
+def _without_branches(expression: sympy.Expr, stem: str, outermost: dict[sympy.Expr, sympy.Symbol]) -> sympy.Expr:
+    """Return the expression with a name in place of every outermost Piecewise."""
+    if isinstance(expression, sympy.Piecewise):
+        return outermost.setdefault(expression, sympy.Symbol(f"_{stem}_branch{len(outermost)}", real=True))
+    if not expression.has(sympy.Piecewise):
+        return expression
+    return expression.func(*(_without_branches(part, stem, outermost) for part in expression.args))

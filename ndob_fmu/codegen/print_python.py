@@ -86,6 +86,15 @@ def _expression(expression: sympy.Expr) -> str:
     return text
 
 
+def has_python_form(expression: sympy.Expr) -> bool:
+    """Return whether the expression can be printed."""
+    try:
+        _PRINTER.doprint(expression)
+    except NotImplementedError:
+        return False
+    return True
+
+
 def print_function(function: Function) -> str:
     """Return the function in Python. Raises ModelError for a function that has no Python form."""
     return (

@@ -74,13 +74,15 @@ class Channel:
     bound (k,): of each |n_j|
     rate: Ω (rad/s); the i-th derivative of n_j in time is at most Ω^i times its bound
     direction: direction(x, u, p) returns n, a tuple of k numbers
-    derivatives: derivatives(x, u, w, p) returns ẋ, a tuple of n numbers
+    derivatives, linearisation, sensitivity: those of `Equations`, with the w (k,) in place of d
     """
 
     bound: tuple[float, ...]
     rate: float
     direction: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    linearisation: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    sensitivity: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
 
 
 def lumped_names(disturbance: str, k: int) -> tuple[str, ...]:
@@ -93,7 +95,7 @@ class Equations:
     """ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x, with everything a component needs to name and start it.
 
     Names, units, descriptions and start values are those of `model.Model`. Functions take the parameters p in the order
-    of `parameters`.
+    of `parameters`. They raise ArithmeticError or ValueError where they have no value, as a root has no slope at 0.
 
     lipschitz: γ of eq. (3)
     f_states: indices of the states that f depends on
@@ -101,6 +103,10 @@ class Equations:
     matrices: matrices(p) returns A, B, C, G_f, G_d as nested tuples
     nonlinearity: nonlinearity(x, u, p) returns f, a tuple of q1 numbers
     derivatives: derivatives(x, u, d, p) returns ẋ, a tuple of n numbers
+    output: output(x, u, p) returns y, a tuple of p numbers
+    linearisation: linearisation(x, u, d, p) returns [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], a tuple of (n + p)(n + q2) numbers
+        row by row. A jump has the slope 0, a kink that of one side
+    sensitivity: sensitivity(x, u, d, p) returns [[∂ẋ/∂p], [∂y/∂p]], a tuple of (n + p) n_p numbers row by row
     steps: the steps of plant and observer as generated code
     channel: the direction n in which the one disturbance acts: n(x, u) d in place of d; None without a channel
     """
@@ -128,6 +134,9 @@ class Equations:
     matrices: Callable[[Vector], tuple[tuple[tuple[float, ...], ...], ...]] = field(repr=False)
     nonlinearity: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    output: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    linearisation: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    sensitivity: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     steps: Steps
     channel: Channel | None = None
 

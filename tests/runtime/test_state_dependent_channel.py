@@ -423,8 +423,13 @@ def test_the_plants_equations_are_those_of_the_lumped_inputs_in_the_direction():
     x, u = random.normal(size=4), random.normal(size=2)
     assert eq.channel.direction(x, u, p) == pytest.approx(n(x[2]))
     assert eq.derivatives(x, u, [2.5], p) == pytest.approx(lumped(eq).derivatives(x, u, 2.5 * n(x[2]), p))
-    definitions = emit_python(ARM).split("def plant_constants")[0]
-    assert definitions.count("math.tanh") == 4  # in the nonlinearity and in one function of derivatives
+    definitions = emit_python(ARM).split("def plant_constants")[0].split("\n\n\n")
+    of_rates = [text for text in definitions if text.startswith(("def nonlinearity(", "def lumped_derivatives("))]
+    slopes = [text for text in definitions if "linearisation(" in text or "sensitivity(" in text]
+    assert (len(of_rates), len(slopes)) == (2, 4)
+    rest = [text for text in definitions if text not in slopes]
+    # In the nonlinearity and in one function of derivatives.
+    assert "".join(rest).count("math.tanh") == "".join(of_rates).count("math.tanh") == 4
 
 
 def test_other_parameter_values_reach_the_direction():

@@ -26,6 +26,8 @@ def lumped(equations: Equations) -> Equations:
             lumped_rate(equations, equations.disturbance_bound, equations.disturbance_rate, order=order)
         ),
         derivatives=channel.derivatives,
+        linearisation=channel.linearisation,
+        sensitivity=channel.sensitivity,
         channel=None,
     )
 
