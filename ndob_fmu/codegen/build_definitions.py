@@ -21,6 +21,7 @@ def build_definitions(field: VectorField) -> list[Function]:
         _function("nonlinearity", [x, u, p], field.f),
         _function("output", [x, u, p], field.outputs),
         _function("linearisation", [x, u, d, p], _linearisation(field, field.driven_by(field.d), field.d)),
+        _function("input_slopes", [x, u, d, p], _input_slopes(field, field.driven_by(field.d))),
         _function("sensitivity", [x, u, d, p], _sensitivity(field, field.driven_by(field.d))),
     ]
     if not field.direction:
@@ -32,6 +33,7 @@ def build_definitions(field: VectorField) -> list[Function]:
         _function("direction", [x, u, p], field.direction),
         _function("lumped_derivatives", [x, u, w, p], field.derivatives(lumped)),
         _function("lumped_linearisation", [x, u, w, p], _linearisation(field, lumped, lumped)),
+        _function("lumped_input_slopes", [x, u, w, p], _input_slopes(field, lumped)),
         _function("lumped_sensitivity", [x, u, w, p], _sensitivity(field, lumped)),
     ]
 
@@ -42,6 +44,11 @@ def _linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[symp
     of_d = field.G_d * slopes(w, d)
     rows = sympy.Matrix([[of_x, of_d], [field.C, sympy.zeros(field.C.rows, len(d))]])
     return list(rows)
+
+
+def _input_slopes(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+    """Return ∂ẋ/∂u, row by row."""
+    return list(field.B + field.G_f * slopes(field.f, field.u) + field.G_d * slopes(w, field.u))
 
 
 def _sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:

@@ -68,12 +68,13 @@ def _equations(model: Model) -> str:
         "experiment": model.experiment,
     }
     lines = [f"    {name}={value!r}," for name, value in fields.items()]
-    functions = ("matrices", "nonlinearity", "derivatives", "output", "linearisation", "sensitivity")
+    functions = ("matrices", "nonlinearity", "derivatives", "output", "linearisation", "input_slopes", "sensitivity")
     lines += [f"    {name}={name}," for name in functions]
     steps = ("plant_constants", "plant_trial", "observer_constants", "observer_step")
     lines.append(f"    steps=Steps({', '.join(f'{name}={name}' for name in steps)}),")
     if model.channel_expressions:
         bounds = f"bound={model.channel_bound!r}, rate={float(model.channel_rate)!r}"
-        of_lumped = ", ".join(f"{name}=lumped_{name}" for name in ("derivatives", "linearisation", "sensitivity"))
+        lumped = ("derivatives", "linearisation", "input_slopes", "sensitivity")
+        of_lumped = ", ".join(f"{name}=lumped_{name}" for name in lumped)
         lines.append(f"    channel=Channel({bounds}, direction=direction, {of_lumped}),")
     return "EQUATIONS = Equations(\n" + "\n".join(lines) + "\n)\n"

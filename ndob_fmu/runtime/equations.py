@@ -74,7 +74,7 @@ class Channel:
     bound (k,): of each |n_j|
     rate: Ω (rad/s); the i-th derivative of n_j in time is at most Ω^i times its bound
     direction: direction(x, u, p) returns n, a tuple of k numbers
-    derivatives, linearisation, sensitivity: those of `Equations`, with the w (k,) in place of d
+    derivatives, linearisation, input_slopes, sensitivity: those of `Equations`, with the w (k,) in place of d
     """
 
     bound: tuple[float, ...]
@@ -82,6 +82,7 @@ class Channel:
     direction: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     linearisation: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    input_slopes: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     sensitivity: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
 
 
@@ -106,6 +107,7 @@ class Equations:
     output: output(x, u, p) returns y, a tuple of p numbers
     linearisation: linearisation(x, u, d, p) returns [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], a tuple of (n + p)(n + q2) numbers
         row by row. A jump has the slope 0, a kink that of one side
+    input_slopes: input_slopes(x, u, d, p) returns ∂ẋ/∂u, a tuple of n m numbers row by row
     sensitivity: sensitivity(x, u, d, p) returns [[∂ẋ/∂p], [∂y/∂p]], a tuple of (n + p) n_p numbers row by row
     steps: the steps of plant and observer as generated code
     channel: the direction n in which the one disturbance acts: n(x, u) d in place of d; None without a channel
@@ -136,6 +138,7 @@ class Equations:
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     output: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     linearisation: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
+    input_slopes: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     sensitivity: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     steps: Steps
     channel: Channel | None = None

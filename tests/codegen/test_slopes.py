@@ -60,6 +60,8 @@ def assert_derivatives_agree_with_differences(eq, x, u, d, p):
     size = np.max(np.abs(rates_and_outputs(x, d, p)))
     found = np.array(eq.linearisation(x, u, d, p), dtype=float).reshape(n + outputs, n + q)
     assert_close(found, differences(lambda z: rates_and_outputs(z[:n], z[n:], p), np.array([*x, *d])), size)
+    found = np.array(eq.input_slopes(x, u, d, p), dtype=float).reshape(n, len(u))
+    assert_close(found, differences(lambda u: np.array(eq.derivatives(x, u, d, p), dtype=float), np.array(u)), size)
     found = np.array(eq.sensitivity(x, u, d, p), dtype=float).reshape(n + outputs, len(p))
     assert_close(found, differences(lambda p: rates_and_outputs(x, d, p), np.array(p)), size)
 

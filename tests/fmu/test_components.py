@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import sympy
 from fmpy.validation import validate_fmu
 
 from ndob_fmu import Model, NdobError, load_model, simulate
@@ -14,7 +15,7 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import DesignError, ModelError, UsageError
 from ndob_fmu.fmu.components import build_components, records
 from ndob_fmu.fmu.controller import build_controller, controller_record
-from ndob_fmu.runtime.blocks.controller import Controller
+from ndob_fmu.runtime.blocks.controller import Controller, Target
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.disturbance_source import INTERPOLATIONS, SOURCE_KINDS, disturbance_source
 from ndob_fmu.runtime.blocks.encoder import Encoder
@@ -357,6 +358,34 @@ def test_a_plant_whose_input_enters_through_f_is_controlled_around_its_start():
     target, u = controller.step(held, [0.8], [0.8, 0.8], [0.03])
     np.testing.assert_allclose(u, [math.sqrt((0.1 * 0.8 + 0.03) / 2e-6)], rtol=1e-9)
     np.testing.assert_allclose(target.x, [0.8, 0.8], rtol=1e-9)
+
+
+def test_a_tank_whose_outflow_has_no_slope_when_empty_is_linearised_exactly_at_its_start():
+    """q √level has the slope q/(2 √level), infinite at the references' default of 0; sign(level) adds none."""
+    model = Model(
+        name="Orifice",
+        states=["level"],
+        inputs=["inflow"],
+        outputs=["level"],
+        disturbances=["leak"],
+        A=[[0.0]],
+        B=[[2.0]],
+        C=[[1.0]],
+        G_d=[[1.0]],
+        f=lambda x, u, p: [-p.outflow * sympy.sign(x.level) * sympy.sqrt(sympy.Abs(x.level))],
+        parameters={"outflow": 0.3},
+        lipschitz=1.0,
+        x0=[0.25],
+    )
+    controller = Controller(compile_model(model), (0.3,), ("level",), np.zeros((1, 1)), np.zeros(1), compensation=True)
+    start = controller.start()
+    np.testing.assert_allclose([*start.x, *start.u], [0.25, 0.3 * 0.5 / 2.0], rtol=1e-14)
+    A, B = controller.jacobians(start)
+    np.testing.assert_allclose([A[0, 0], B[0, 0]], [-0.3, 2.0], rtol=1e-14)
+    with pytest.raises(
+        DesignError, match=r"linearisation of Orifice at its rest position: expected finite slopes of f"
+    ):
+        controller.jacobians(Target(x=np.zeros(1), u=np.zeros(1)))
 
 
 def test_what_a_compensation_cannot_reach_at_once_is_said():

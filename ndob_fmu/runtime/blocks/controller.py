@@ -12,7 +12,6 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.equations import Equations, Vector
 
-_DIFFERENCE = 1e-6
 _TOLERANCE = 1e-9
 _ITERATIONS = 30
 # Start values of Newton's method for the inputs that hold x0, whose size is unknown.
@@ -114,11 +113,19 @@ class Controller:
         return bool(np.any((self.limit > 0.0) & (np.abs(u) >= self.limit)))
 
     def jacobians(self, target: Target) -> tuple[Array, Array]:
-        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂u (n,m) at the target without disturbance, by central differences."""
-        n = len(target.x)
-        d = [0.0] * len(self.equations.disturbances)
-        J = self._jacobian(np.concatenate([target.x, target.u]), d)
-        return J[:, :n], J[:, n:]
+        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂u (n,m) at the target without disturbance.
+
+        Raises DesignError where f has no slope.
+        """
+        try:
+            return self._jacobians(target.x, target.u, [0.0] * len(self.equations.disturbances))
+        except (ArithmeticError, ValueError) as error:
+            raise DesignError.report(
+                f"the linearisation of {self.equations.name} at its rest position",
+                expected="finite slopes of f",
+                received=str(error),
+                likely="a root of 0, as of an orifice without flow: start from an x0 with flow",
+            ) from error
 
     def _equilibrium(self, guess: Target, reference: Vector, d: Sequence[float]) -> Target | None:
         n, m = len(guess.x), len(guess.u)
@@ -126,10 +133,10 @@ class Controller:
         lower = np.hstack([self.selection, np.zeros((m, m))])
         for _ in range(_ITERATIONS):
             residual = np.concatenate([self._rates(z, d), self.selection @ z[:n] - reference])
-            J = np.vstack([self._jacobian(z, d), lower])
             try:
+                J = np.vstack([np.hstack(self._jacobians(z[:n], z[n:], d)), lower])
                 change = np.linalg.solve(J, residual)
-            except np.linalg.LinAlgError:
+            except (ArithmeticError, ValueError):  # f has no slope there, or J is singular
                 return None
             z = z - change
             if not np.isfinite(z).all():
@@ -142,7 +149,8 @@ class Controller:
         n, values = len(self.equations.states), z.tolist()
         return np.array(self.equations.derivatives(values[:n], values[n:], d, self.parameters), dtype=float)
 
-    def _jacobian(self, z: Array, d: Sequence[float]) -> Array:
-        steps = _DIFFERENCE * np.diag(1.0 + np.abs(z))
-        columns = [(self._rates(z + h, d) - self._rates(z - h, d)) / (2.0 * np.max(h)) for h in steps]
-        return np.asarray(np.array(columns).T)
+    def _jacobians(self, x: Array, u: Array, d: Sequence[float]) -> tuple[Array, Array]:
+        eq, at = self.equations, (x.tolist(), u.tolist(), d, self.parameters)
+        n, m, q = len(x), len(u), len(d)
+        of_x = np.array(eq.linearisation(*at), dtype=float).reshape(-1, n + q)[:n, :n]
+        return of_x, np.array(eq.input_slopes(*at), dtype=float).reshape(n, m)

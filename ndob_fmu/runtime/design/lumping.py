@@ -27,6 +27,7 @@ def lumped(equations: Equations) -> Equations:
         ),
         derivatives=channel.derivatives,
         linearisation=channel.linearisation,
+        input_slopes=channel.input_slopes,
         sensitivity=channel.sensitivity,
         channel=None,
     )
