@@ -44,6 +44,14 @@ def quantised(record: Record, size: float = 20.0) -> Record:
     return record.with_samples(np.round(record.Y / width) * width)
 
 
+def lost(record: Record, share: float) -> Record:
+    """Lose this share of the samples, with all their entries."""
+    Y = record.Y.copy()
+    for samples, random in zip(Y, _generators(record, 6), strict=True):
+        samples[random.random(len(samples)) < share] = np.nan
+    return record.with_samples(Y)
+
+
 def every_tenth(record: Record, output: int) -> Record:
     """Keep every tenth sample of an output, NaN in the others."""
     Y = record.Y.copy()

@@ -21,7 +21,7 @@ from benchmarks.estimator.plants import Array, Plant
 from benchmarks.estimator.records import Record, simulate, sine
 
 _COMPLEX_STEP = 1e-30
-_DIVERGED = 1e4  # standard deviations of the prior
+_DIVERGED = 1e6  # standard deviations of the prior
 _COARSER = 4  # than the truth's substep: its error stays far below the noise
 
 
@@ -81,10 +81,11 @@ class ExtendedKalmanFilter:
             self.P = J @ self.P @ np.swapaxes(J, 1, 2) + self.R[i] * K[:, :, None] * K[:, None, :]
 
     def predict(self, u: Array, h: float) -> None:
-        """Go on by h (s) with the input u (B,m)."""
-        Phi, Q = self._discretised(u, h)
-        self.xi = self.mean_after(u, h)
-        P = Phi @ self.P @ np.swapaxes(Phi, 1, 2) + Q
+        """Go on by h (s) with the input u (B,m); a record of which the filter diverges is `lost`."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            Phi, Q = self._discretised(u, h)
+            self.xi = self.mean_after(u, h)
+            P = Phi @ self.P @ np.swapaxes(Phi, 1, 2) + Q
         self.P = 0.5 * (P + np.swapaxes(P, 1, 2))
         lost = ~np.all(np.abs(self.xi / self.scale) < _DIVERGED, axis=1) | ~np.all(np.isfinite(self.P), axis=(1, 2))
         if lost.any():
@@ -216,7 +217,9 @@ def tuned_intensity(plant: Plant, H: float, order: int, sigma: tuple[float, ...]
     squared = np.mean((at - record.d)[:, begin:, 0] ** 2, axis=1).reshape(len(seeds), -1).mean(axis=0)
     squared = np.where(np.isfinite(squared), squared, np.inf)
     best = int(np.clip(np.argmin(squared), 1, len(grid) - 2))
+    three = np.log(squared[best - 1 : best + 2])
+    if not np.all(np.isfinite(three)):
+        return float(grid[np.argmin(squared)])
     # The vertex of the parabola through the three best in logarithms.
-    left, middle, right = np.log(squared[best - 1 : best + 2])
-    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    shift = 0.5 * (three[0] - three[2]) / (three[0] - 2.0 * three[1] + three[2])
     return float(grid[best] * (grid[1] / grid[0]) ** np.clip(shift, -1.0, 1.0))

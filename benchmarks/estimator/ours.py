@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -10,7 +11,10 @@ import numpy as np
 from benchmarks.estimator.plants import Array, Plant
 from benchmarks.estimator.records import Record
 from fmus.observer_slave import ObserverSlave
+from fmus.plant_slave import PlantSlave
+from fmus.slave_base import Slave
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.runtime.equations import Equations
 
 Estimates = dict[str, Array]
 # The outputs of each disturbance, and the name of their column here; the last two exist where `lag` does.
@@ -25,18 +29,62 @@ class RefusedError(Exception):
     """The FMU refuses its parameters or a step; the text is what it logs."""
 
 
-class _Slave(ObserverSlave):
-    def __init__(self, plant: Plant) -> None:
-        self.messages: list[str] = []
-        super().__init__(_equations(plant.name, plant.model), instance_name=plant.name, resources="")
+class _Quiet(Slave):
+    """A slave in this process, whose log is kept."""
+
+    messages: list[str]
+
+    def __init__(self, equations: Equations) -> None:
+        self.messages = []
+        super().__init__(equations, instance_name="benchmark", resources="")  # type: ignore[arg-type]
 
     def log(self, msg: str, status: Any) -> None:
         self.messages.append(msg)
 
+    def begin(self, values: dict[str, Any]) -> None:
+        """Set parameters and inputs and go through the initialization."""
+        types = {v.name: (reference, v.type) for reference, v in enumerate(self.variables.declared)}
+        self.setup_experiment(0.0, None, None)
+        self.enter_initialization_mode()
+        for name, value in values.items():
+            if name not in types:
+                raise NotAvailableError(name)
+            reference, kind = types[name]
+            if kind == "Real":
+                self.set_real([reference], [float(value)])
+            elif kind == "Boolean":
+                self.set_boolean([reference], [bool(value)])
+            else:
+                self.set_integer([reference], [int(value)])
+        self.exit_initialization_mode()
+        if self.messages:
+            raise RefusedError(self.messages[-1])
+
+    def run(self, rows: Array, names: Sequence[str], steps: Array) -> Array:
+        """Step with a row (K,len(names)) of inputs each and return the outputs (K,…) at the ends of the steps (K,)."""
+        at = self.variables.stretch(names)
+        found = np.empty((len(rows), len(self.variables.present[self.variables.outputs])))
+        t = 0.0
+        for k, H in enumerate(steps.tolist()):
+            self.variables.present[at] = rows[k].tolist()
+            if not self.do_step(t, H):
+                raise RefusedError(self.messages[-1] if self.messages else "a step without a message")
+            found[k] = self.variables.present[self.variables.outputs]
+            t += H
+        return found
+
+
+class _QuietObserver(_Quiet, ObserverSlave):
+    pass
+
+
+class _QuietPlant(_Quiet, PlantSlave):
+    pass
+
 
 @cache
-def _equations(name: str, model: Any) -> Any:
-    return compile_model(model())
+def _equations(plant: Plant) -> Equations:
+    return compile_model(plant.model())
 
 
 def parameters_of(plant: Plant, order: int = 2, **others: Any) -> dict[str, Any]:
@@ -60,25 +108,11 @@ def ours(plant: Plant, H: float, U: Array, Y: Array, T: Array | None = None, **f
     and consistency (K,) where the FMU has them.
     Raises NotAvailableError for a parameter that the FMU has not, RefusedError where it logs an error.
     """
-    slave, model = _Slave(plant), plant.model()
-    order = int(fmu_parameters.get("disturbance_order", 2))
-    set_parameters(slave, parameters_of(plant, order) | fmu_parameters)
+    slave, model = _QuietObserver(_equations(plant)), plant.model()
+    slave.begin(_settable(slave, plant, fmu_parameters) | dict(zip(model.outputs, Y[0].tolist(), strict=True)))
     names = [v.name for v in slave.variables.declared if v.causality == "output"]
     steps = np.full(len(Y), H) if T is None else T
-    slave.setup_experiment(0.0, None, None)
-    slave.enter_initialization_mode()
-    present, inputs = slave.variables.present, slave.variables.stretch([*model.inputs, *model.outputs])
-    present[inputs] = [*U[0], *Y[0]]
-    slave.exit_initialization_mode()
-    rows = np.empty((len(Y), len(names)))
-    t = 0.0
-    for k, H_k in enumerate(steps.tolist()):
-        present = slave.variables.present
-        present[inputs] = [*U[k].tolist(), *Y[k].tolist()]
-        if not slave.do_step(t, H_k):
-            raise RefusedError(slave.messages[-1] if slave.messages else "a step without a message")
-        rows[k] = slave.variables.present[slave.variables.outputs]
-        t += H_k
+    rows = slave.run(np.hstack([U, Y]), [*model.inputs, *model.outputs], steps)
 
     def columns(wanted: list[str]) -> Array:
         return rows[:, [names.index(name) for name in wanted]]
@@ -104,22 +138,26 @@ def ours_of(record: Record, **fmu_parameters: Any) -> Estimates:
     return {key: np.stack([run[key] for run in runs]) for key in runs[0]}
 
 
-def set_parameters(slave: _Slave, values: dict[str, Any]) -> None:
-    """Set parameters by their names. Raises NotAvailableError for one that the FMU has not."""
-    types = {v.name: (reference, v.type) for reference, v in enumerate(slave.variables.declared)}
-    noise = {name: value for name, value in values.items() if name.endswith("_noise_std") and name not in types}
-    if noise and "noise_std" in types and len(set(noise.values())) == 1:
+def published_intensity(plant: Plant, H: float, order: int = 2, **fmu_parameters: Any) -> float:
+    """Return the intensity of the white noise behind d^{(r)} that ours works with at the step H (s)."""
+    slave = _QuietObserver(_equations(plant))
+    slave.begin(_settable(slave, plant, {"disturbance_order": order} | fmu_parameters))
+    return float(slave.observer.designs.intensities(H).disturbance[0])  # type: ignore[attr-defined]
+
+
+def plant_run(plant: Plant, H: float, U: Array) -> Array:
+    """Step the plant FMU's slave without disturbance and return its states (K,n) at the ends of the steps."""
+    slave, model = _QuietPlant(_equations(plant)), plant.model()
+    slave.begin({f"{x}_start": float(value) for x, value in zip(model.states, plant.x0, strict=True)})
+    names = [v.name for v in slave.variables.declared if v.causality == "output"]
+    return slave.run(U, list(model.inputs), np.full(len(U), H))[:, [names.index(x) for x in model.states]]
+
+
+def _settable(slave: _Quiet, plant: Plant, given: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters to set; an FMU with one noise figure for all outputs gets that where they agree."""
+    values = parameters_of(plant, int(given.get("disturbance_order", 2))) | given
+    noise = {name: values[name] for name in values if name.endswith("_noise_std")}
+    if "noise_std" in {v.name for v in slave.variables.declared} and len(set(noise.values())) == 1:
         values = {name: value for name, value in values.items() if name not in noise}
         values["noise_std"] = next(iter(noise.values()))
-    for name, value in values.items():
-        if name not in types:
-            raise NotAvailableError(name)
-        reference, kind = types[name]
-        if kind == "Real":
-            slave.set_real([reference], [float(value)])
-        elif kind == "Boolean":
-            slave.set_boolean([reference], [bool(value)])
-        else:
-            slave.set_integer([reference], [int(value)])
-    if slave.messages:
-        raise RefusedError(slave.messages[-1])
+    return values

@@ -4,6 +4,7 @@
     CYLINDER    hydraulic cylinder, position and chamber pressure measured
     MOTOR       synchronous motor with permanent magnets, angle and both currents measured
     ARM         two-joint arm with a force on its tool, the example with a state-dependent channel
+    LAG         pendulum whose drive follows its input with a time constant of 1 µs; UNLAGGED follows it at once
 
 The equations by hand serve the truth and the estimators that we compare with; only ours reads the model.
 """
@@ -11,7 +12,7 @@ The equations by hand serve the truth and the estimators that we compare with; o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
 from pathlib import Path
@@ -282,5 +283,60 @@ ARM = Plant(
     substep=5e-4,
     stop_time=2.0,
 )
+
+
+# -- pendulum with a fast drive
+
+
+@cache
+def _lag_model() -> Model:
+    time_constant, damping = sympy.symbols("time_constant damping")
+    return Model(
+        name="Lag",
+        description="Pendulum with a fast drive",
+        states=["angle", "rate", "torque"],
+        inputs=["command"],
+        outputs=["angle"],
+        disturbances=["load"],
+        A=[[0, 1, 0], [0, -damping, 1], [0, 0, -1 / time_constant]],
+        B=[[0], [0], [1 / time_constant]],
+        C=[[1, 0, 0]],
+        G_d=[[0], [1], [0]],
+        f=lambda x, u, p: [-p.gravity * sympy.sin(x.angle)],
+        parameters={"time_constant": 1e-6, "damping": 1.0, "gravity": 10.0},
+        lipschitz=10.0,
+        disturbance_bound=5.0,
+    )
+
+
+def _lag_slope(x: Any, u: Any, d: Any, p: Parameters) -> Any:
+    torque = (u[..., 0] - x[..., 2]) / p["time_constant"]
+    return _slope(x[..., 1], x[..., 2] - _held_back(x, p) + d[..., 0], torque)
+
+
+def _unlagged_slope(x: Any, u: Any, d: Any, p: Parameters) -> Any:
+    return _slope(x[..., 1], u[..., 0] - _held_back(x, p) + d[..., 0], 0.0 * x[..., 2])
+
+
+def _held_back(x: Any, p: Parameters) -> Any:
+    return p["damping"] * x[..., 1] + p["gravity"] * np.sin(x[..., 0])
+
+
+LAG = Plant(
+    name="lag",
+    model=_lag_model,
+    parameters={"time_constant": 1e-6, "damping": 1.0, "gravity": 10.0},
+    slope=_lag_slope,
+    control=lambda t, y, memory, H: np.full((len(y), 1), np.sin(2.0 * pi * t)),
+    C=_rows_of_identity(3, 0),
+    x0=np.array([0.5, 0.0, 0.0]),
+    x_hat=np.zeros(3),
+    x_std=np.ones(3),
+    sigma=np.full(1, 1e-4),
+    bound=5.0,
+    substep=1e-3,
+    stop_time=2.0,
+)
+UNLAGGED = replace(LAG, name="unlagged", slope=_unlagged_slope)
 
 PLANTS = (JOINT, CYLINDER, MOTOR, ARM)
