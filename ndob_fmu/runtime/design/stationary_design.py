@@ -227,9 +227,29 @@ def stationary_design(
     system: Augmented, H: float, R_factor: Array, intensities: Intensities, alpha: float
 ) -> StationaryDesign:
     """Design the stationary gain for a step H > 0 s. Raises DesignError where none can be found."""
-    discrete = discretise(system, H, alpha)
+    return design_for(system, discretise(system, H, alpha), R_factor, intensities, alpha)
+
+
+def design_for(
+    system: Augmented,
+    discrete: Discrete,
+    R_factor: Array,
+    intensities: Intensities,
+    alpha: float,
+    similar: StationaryDesign | None = None,
+) -> StationaryDesign:
+    """Design the stationary gain for a step that is sampled already; `similar`, for other intensities, saves time.
+
+    Raises DesignError where none can be found.
+    """
     noise_factor, sample_factor = scaled_noise(discrete, intensities), intensities.scale * R_factor
-    prior_factor = stationary(discrete.filter_phi, system.C, noise_factor, sample_factor)
+    prior_factor = stationary(
+        discrete.filter_phi,
+        system.C,
+        noise_factor,
+        sample_factor,
+        None if similar is None else similar.prior_factor,
+    )
     z = _whitened(system, discrete, sample_factor, prior_factor)
     return StationaryDesign(
         system=system,

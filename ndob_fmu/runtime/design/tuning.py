@@ -11,15 +11,15 @@ where |E| D is the error that a constant r-th derivative causes, and std the noi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
-from ndob_fmu.runtime.design.augmented import Augmented
-from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, stationary_design
+from ndob_fmu.runtime.design.augmented import Augmented, discretise
+from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, design_for
 from ndob_fmu.runtime.linear_part import LinearPart
 
 # f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
@@ -27,13 +27,11 @@ from ndob_fmu.runtime.linear_part import LinearPart
 _F_ERROR_IN_SIGMA = 10.0
 # The range of bandwidths over 1/H; beyond the last one only rounding changes the gain.
 _SLOWEST, _FASTEST = 1e-4, 4.0
-_SCAN = 10
-# The logarithm of the cost is compared this far on both sides of its minimum, in the logarithm of the bandwidth. Where
-# it is nearly flat, a bandwidth lower by a factor e may cost this part more.
-_REACH = 0.1
+_SCAN = 9
+# Where the logarithm of the cost is nearly flat, a bandwidth lower by a factor e may cost this part more.
 _SLOWER = 1e-4
-_REFINEMENTS = 25
-_SAME_PLACE = 1e-9
+_PARABOLAS = 2
+_CLOSER = 0.3  # the distance of the costs for a parabola, over that of those before
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,18 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
     scale makes the white noise on w_d over a step as large as D (for r = 0, that on G as large as D₀).
     """
 
+    discrete = discretise(system, H, alpha)
+    found: dict[float, StationaryDesign] = {}
+
     def cost(log_bandwidth: float) -> float:
+        nearest = min(found, key=lambda other: abs(other - log_bandwidth), default=None)
+        similar = None if nearest is None else found[nearest]
         try:
-            design = stationary_design(system, H, known.R_factor, _at(np.exp(log_bandwidth)), alpha)
+            design = design_for(system, discrete, known.R_factor, _at(np.exp(log_bandwidth)), alpha, similar)
+            found[log_bandwidth] = design
         except DesignError:  # at the far ends of the range; where every design fails, the final one raises
             return np.inf
-        with np.errstate(invalid="ignore"):
+        with np.errstate(all="ignore"):
             bias, noise = predicted_error(design, known.disturbance_rate)
         total = float(np.sum((bias + noise) / known.disturbance_bound))
         return float(np.log(total)) if np.isfinite(total) else np.inf
@@ -73,10 +77,10 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
         return at_bandwidth(system, H, bandwidth, known)
 
     best = _minimise(cost, np.log(_SLOWEST / H), np.log(_FASTEST / H))
-    found = _at(float(np.exp(best)))
+    tuned = _at(float(np.exp(best)))
     pace = known.disturbance_rate if system.order else known.disturbance_bound
-    scale = float(np.max(np.sqrt(H) * pace / np.sqrt(found.disturbance[-len(pace) :])))
-    return replace(found, scale=max(1.0, scale))
+    scale = float(np.max(np.sqrt(H) * pace / np.sqrt(tuned.disturbance[-len(pace) :])))
+    return replace(tuned, scale=max(1.0, scale))
 
 
 def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
@@ -165,36 +169,30 @@ def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tupl
 
 
 def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
-    """Return the place of the least cost on [low, high], to the accuracy of the costs.
+    """Return the place of the least cost on [low, high].
 
-    A scan finds the neighbourhood. There the method of false position (Illinois) finds the place where the cost is the
-    same on both sides: comparisons of costs near the minimum would depend on rounding errors.
+    A scan finds the neighbourhood. Each parabola through three costs brings the place nearer. Their number is fixed and
+    the costs stay well apart, so that rounding errors of the costs move the place in proportion only.
     """
 
-    def slope(place: float) -> float:
-        return cost(place + _REACH) - cost(place - _REACH) + 2.0 * _REACH * _SLOWER
+    def costs(places: Sequence[float]) -> list[float]:
+        return [cost(place) + _SLOWER * place for place in places]
 
-    places = np.linspace(low, high, _SCAN)
-    best = int(np.argmin([cost(place) + _SLOWER * place for place in places]))
-    left, right = float(places[max(best - 1, 0)]), float(places[min(best + 1, _SCAN - 1)])
-    at_left, at_right = slope(left), slope(right)
-    if not at_left < 0.0:
-        return left
-    if not at_right > 0.0:
-        return right
-    place, last = left, 0
-    for _ in range(_REFINEMENTS):
-        before, place = place, right - at_right * (right - left) / (at_right - at_left)
-        if not left < place < right:  # also where a cost, and with it a slope, is infinite
-            place = 0.5 * (left + right)
-        if abs(place - before) <= _SAME_PLACE:
-            break
-        at_place = slope(place)
-        if at_place < 0.0:
-            left, at_left = place, at_place
-            at_right *= 0.5 if last < 0 else 1.0
-        else:
-            right, at_right = place, at_place
-            at_left *= 0.5 if last > 0 else 1.0
-        last = -1 if at_place < 0.0 else 1
+    places: list[float] = np.linspace(low, high, _SCAN).tolist()
+    scanned = costs(places)
+    middle = min(max(int(np.argmin(scanned)), 1), _SCAN - 2)
+    reach = places[1] - places[0]
+    place = places[middle] + reach * _vertex(*scanned[middle - 1 : middle + 2])
+    for _ in range(_PARABOLAS):
+        reach *= _CLOSER
+        place = min(max(place, low + reach), high - reach)
+        place += reach * _vertex(*costs((place - reach, place, place + reach)))
     return place
+
+
+def _vertex(below: float, here: float, above: float) -> float:
+    """Return where the parabola through three costs at −1, 0 and 1 is least; at most 1 from the middle."""
+    if np.isfinite(below) and np.isfinite(above) and below + above > 2.0 * here:
+        vertex = 0.5 * (below - above) / (below - 2.0 * here + above)
+        return float(min(max(vertex, -1.0), 1.0))
+    return float(np.argmin((below, here, above))) - 1.0

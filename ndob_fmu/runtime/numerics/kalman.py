@@ -11,8 +11,10 @@ products of covariances would lose the smaller one altogether.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
@@ -52,37 +54,50 @@ def predict(factor: Array, Phi: Array, noise_factor: Array) -> Array:
     return triangular(np.hstack([Phi @ factor, noise_factor]))
 
 
-def stationary(Phi: Array, C: Array, noise_factor: Array, R_factor: Array) -> Array:
+def stationary(
+    Phi: Array, C: Array, noise_factor: Array, R_factor: Array, similar_factor: Array | None = None
+) -> Array:
     """Return the factor (N,N) of the P⁻ to which the recursion converges.
 
     The doubling algorithm finds it; as rounding errors matter least where P⁻ is I, it is repeated in such coordinates.
+    `similar_factor` (N,N), that of a P⁻ for other noise, saves the first pass where it is similar enough.
     Raises DesignError where the filter does not forget its errors within 2⁴⁰ steps, or where one more step of the
     recursion, in the states themselves, changes the correction K e by more than 1e-6 of a state's standard deviation.
     """
     change = np.inf
+    starts = [np.eye(len(Phi))] if similar_factor is None else [similar_factor, np.eye(len(Phi))]
     with np.errstate(all="ignore"):  # what leaves the finite numbers is refused below
-        seen = np.linalg.solve(R_factor, C)
-        factor = np.eye(len(Phi))
-        try:
-            for _ in range(_MOST_PASSES):
-                T = whitening(factor)
-                z_factor = _doubled(forward(T, Phi @ T), seen @ T, forward(T, noise_factor))
-                factor = triangular(T @ z_factor)
-                sizes = np.abs(np.diag(z_factor))
-                if np.all((sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)):
-                    break
-            found = update(factor, C, R_factor)
-            change = gain_change(found, update(predict(found.factor, Phi, noise_factor), C, R_factor))
-        except np.linalg.LinAlgError:
-            pass
-    if change <= _TOLERANCE:
-        return factor
+        seen = np.asarray(np.linalg.solve(R_factor, C), dtype=float)
+        for start in starts:
+            try:
+                factor = _limit(Phi, seen, noise_factor, start)
+                found = update(factor, C, R_factor)
+                change = gain_change(found, update(predict(found.factor, Phi, noise_factor), C, R_factor))
+            except np.linalg.LinAlgError:
+                continue
+            if change <= _TOLERANCE:
+                return factor
     raise DesignError.report(
         "sampled-data gain",
         expected=f"a stationary covariance, the gain's change per step at most {_TOLERANCE:g} of its size",
         received=f"{change:.1e}",
         likely="a mode that is almost unobservable at this step size, or noise and disturbance of impossible sizes",
     )
+
+
+def _limit(Phi: Array, C: Array, noise_factor: Array, factor: Array) -> Array:
+    """Return the factor (N,N) of the limit of P⁻ for unit measurement noise, in the coordinates that it gives itself.
+
+    The first of them come from `factor` (N,N). Raises LinAlgError where P⁻ has no limit.
+    """
+    for _ in range(_MOST_PASSES):
+        T = whitening(factor)
+        z_factor = _doubled(forward(T, Phi @ T), C @ T, forward(T, noise_factor))
+        factor = triangular(T @ z_factor)
+        sizes = np.abs(np.diag(z_factor))
+        if np.all((sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)):
+            break
+    return factor
 
 
 def _doubled(Phi: Array, C: Array, noise_factor: Array) -> Array:
@@ -99,10 +114,11 @@ def _doubled(Phi: Array, C: Array, noise_factor: Array) -> Array:
     D, B = triangular(np.hstack([noise_factor, zero])), triangular(np.hstack([C.T, zero]))
     for _ in range(_MOST_DOUBLINGS):
         # The first stretch's covariance D Dᵀ is updated with Bᵀ ξ + v, which is what the second stretch measures.
-        lower = triangular(np.block([[identity, B.T @ D], [zero, D]]))
-        seen = forward(lower[:N, :N], B.T @ E)
-        added = E @ lower[N:, N:]
-        E = E @ (E - lower[N:, :N] @ seen)
+        W = B.T @ D
+        both = np.linalg.solve(triangular(np.hstack([identity, W])), np.hstack([B.T @ E, W]))
+        seen, correction = both[:, :N], both[:, N:]
+        added = E @ np.linalg.solve(triangular(np.hstack([identity, W.T])), D.T).T
+        E = E @ (E - D @ (correction.T @ seen))
         D, B = triangular(np.hstack([D, added])), triangular(np.hstack([B, seen.T]))
         if not (np.all(np.isfinite(D)) and np.all(np.isfinite(E))):
             break
@@ -155,7 +171,14 @@ def forward(lower: Array, right: Array) -> Array:
 
 def triangular(rows: Array) -> Array:
     """Return the lower triangle T (m,m) with T Tᵀ = rows rowsᵀ, for rows (m,·) with at least as many columns."""
-    return np.array(np.asarray(np.linalg.qr(rows.T, mode="r")).T)
+    m = len(rows)
+    reflected = np.asarray(np.linalg.qr(rows.T, mode="raw")[0])
+    return np.where(_lower(m), reflected[:, :m], 0.0)
+
+
+@lru_cache(maxsize=16)
+def _lower(m: int) -> NDArray[np.bool_]:
+    return np.tri(m, dtype=bool)
 
 
 def _row_norms(factor: Array) -> Array:
