@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 from benchmarks.accuracy_cells import AFTER_STEP, D0, PAPER_RAMP, STEADY_FROM, Plan, Score, Scores, Signal, fitting_pi
 from benchmarks.accuracy_must_show import Row, as_text
+from benchmarks.estimator import page as estimator_page
+from benchmarks.estimator.page import Results, save_flat
 from ndob_fmu.support.files import atomic_path
 
 SAME = 0.01  # two errors that differ by less count as equal
@@ -43,17 +43,17 @@ REASONS = {
 }
 
 
-def write(folder: Path, plan: Plan, scores: Scores, required: Sequence[Row]) -> list[Path]:
-    """Write `accuracy.md` and `accuracy.png` into the folder and return their paths."""
+def write(folder: Path, plan: Plan, scores: Scores, required: Sequence[Row], plants: Results) -> list[Path]:
+    """Write `accuracy.md` and its figures into the folder and return their paths."""
     page, figure = folder / "accuracy.md", folder / "accuracy.png"
     with atomic_path(page) as temporary:
-        temporary.write_text(text(plan, scores, required), "utf-8", newline="\n")
+        temporary.write_text(text(plan, scores, required, plants), "utf-8", newline="\n")
     with atomic_path(figure) as temporary:
-        plot(temporary, plan, scores)
-    return [page, figure]
+        save_flat(plot(plan, scores), temporary)
+    return [page, figure, *estimator_page.plot(folder, plants)]
 
 
-def text(plan: Plan, scores: Scores, required: Sequence[Row]) -> str:
+def text(plan: Plan, scores: Scores, required: Sequence[Row], plants: Results) -> str:
     """Return the page."""
     ratios, losses = ratio_table(plan, scores)
     noise_tables = "\n\n".join(
@@ -75,6 +75,7 @@ def text(plan: Plan, scores: Scores, required: Sequence[Row]) -> str:
     parts += ["## Error of the prediction for the end of the step", _AHEAD_TEXT, ahead_tables]
     parts += ["## Start-up and step", _START_TEXT, start_table(plan, scores)]
     parts += ["## How it was measured", _method_text(plan)]
+    parts += estimator_page.sections(plants)
     return "\n\n".join(parts) + "\n"
 
 
@@ -255,9 +256,10 @@ _INTRODUCTION = f"""# How accurate is the estimate, and compared with what?
 
 <!-- Written by `python -m benchmarks.accuracy`; changes belong there. -->
 
-The plant is the paper's flexible joint with both angles measured. The disturbance is a torque on its motor with
-|d| ≤ D₀ = {D0:g}. This page compares estimators over step size H, disturbance and measurement noise σ. Ours is the
-observer FMU (method 2)."""
+This page compares estimators over step size H, disturbance and measurement noise σ. Ours is the observer FMU
+(method 2). The first part is about the paper's flexible joint with both angles measured, disturbed by a torque on its
+motor with |d| ≤ D₀ = {D0:g}. The second part, [on four plants](#on-four-plants-good-samples), has faulty samples,
+statements that are half true, steps that vary and estimates with a lag."""
 
 _RATIO_TEXT = """\
 The table has the error of ours divided by the error of the EKF with as many integrated disturbances, at the sample.
@@ -327,31 +329,24 @@ _LINES: dict[str, dict[str, Any]] = {
 }
 
 
-def plot(path: Path, plan: Plan, scores: Scores) -> None:
-    """Write the error at the sample over H, a panel per disturbance and noise."""
-    style: Any = {"font.size": 8, "axes.grid": True, "grid.alpha": 0.3, "lines.markersize": 4, "lines.linewidth": 1.2}
-    rows, columns = len(plan.signals), len(plan.noises)
+def plot(plan: Plan, scores: Scores) -> Figure:
+    """Draw the error at the sample of the 1 Hz sine over H, a panel for each noise."""
+    style: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "lines.markersize": 5, "lines.linewidth": 1.2}
+    sine = next(signal for signal in plan.signals if signal.kind == "sine")
     with mpl.rc_context(style):
-        figure = Figure(figsize=(3.0 * columns, 1.6 * rows + 0.8), layout="constrained")
-        panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        figure = Figure(figsize=(9.0, 4.5), layout="constrained")
+        panels = figure.subplots(1, len(plan.noises), sharex=True, sharey=True, squeeze=False)[0]
         handles: dict[str, Any] = {}
-        for panel_row, signal in zip(panels, plan.signals, strict=True):
-            for axes, sigma in zip(panel_row, plan.noises, strict=True):
-                for name, look in _LINES.items():
-                    if (plan.steps[0], signal.name, sigma, name) not in scores:
-                        continue
-                    errors = [scores[H, signal.name, sigma, name].error for H in plan.steps]
-                    (handles[COLUMNS[name]],) = axes.loglog([H * 1e3 for H in plan.steps], errors, **look)
-                axes.set_title(f"{signal.name}, {_noise(sigma)}")
-                axes.set_xticks([H * 1e3 for H in plan.steps], [f"{H * 1e3:g}" for H in plan.steps])
-                axes.minorticks_off()
-        for axes in panels[-1]:
+        for axes, sigma in zip(panels, plan.noises, strict=True):
+            for name, look in _LINES.items():
+                if (plan.steps[0], sine.name, sigma, name) not in scores:
+                    continue
+                errors = [scores[H, sine.name, sigma, name].error for H in plan.steps]
+                (handles[COLUMNS[name]],) = axes.loglog([H * 1e3 for H in plan.steps], errors, **look)
+            axes.set_title(f"{sine.name}, {_noise(sigma)}")
+            axes.set_xticks([H * 1e3 for H in plan.steps], [f"{H * 1e3:g}" for H in plan.steps])
+            axes.minorticks_off()
             axes.set_xlabel("H [ms]")
-        for axes in panels[:, 0]:
-            axes.set_ylabel("error of d̂")
+        panels[0].set_ylabel("error of d̂")
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, frameon=False)
-        drawn = BytesIO()
-        figure.savefig(drawn, dpi=90, format="png")
-    # Some forty flat colours: a palette makes the file a quarter as large.
-    with Image.open(drawn) as image:
-        image.convert("RGB").quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
+    return figure

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from benchmarks.estimator.figures import Figure
@@ -30,6 +32,7 @@ _COVERED: tuple[tuple[Plant, tuple[float, ...]], ...] = (
     (MOTOR, (1e-3, 5e-3, 1e-2, 2e-2)),
     (ARM, (1e-3, 5e-3, 1e-2)),
 )
+_COVERAGE = ", good samples: share within 2·std"
 _BAND = 0.1  # of the step in d, within which the error has settled
 
 
@@ -80,8 +83,17 @@ def coverage(seeds: Seeds, name: str, H: float, order: int) -> list[Figure]:
     found = score(record, ours_of(record, disturbance_order=order))
     text = f"{name}, {ms(H)}, r = {order}"
     return [
-        Figure(f"{text}: share within 2·std", 0.90, found.covered, at_least=True),
-        Figure(f"{text}: share within 2·std", 0.99, found.covered),
+        Figure(f"{text}{_COVERAGE}", 0.90, found.covered, at_least=True),
+        Figure(f"{text}{_COVERAGE}", 0.99, found.covered),
         Figure(f"{text}: largest std, D₀", 1.0, found.largest_std),
         Figure(f"{text}: share with `valid` true", 1.0, found.valid, at_least=True),
     ]
+
+
+def together(figures: Sequence[Figure]) -> list[Figure]:
+    """Return the mean coverage of all cells that `coverage` has judged; empty if there are none."""
+    shares = [f.measured for f in figures if f.text.endswith(_COVERAGE) and f.at_least and f.measured is not None]
+    if not shares:
+        return []
+    mean, text = float(np.mean(shares)), f"mean of {len(shares)} cells{_COVERAGE}"
+    return [Figure(text, 0.90, mean, at_least=True), Figure(text, 0.99, mean)]

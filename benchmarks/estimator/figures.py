@@ -14,6 +14,7 @@ class Figure:
     limit: what is required, at most, or at least where `at_least`
     measured: None where the FMU lacks what is needed
     note: why it could not be measured
+    timed: whether it is a time, which differs from run to run
     """
 
     text: str
@@ -22,6 +23,7 @@ class Figure:
     once: str = "–"
     at_least: bool = False
     note: str = ""
+    timed: bool = False
 
     @property
     def short(self) -> bool:

@@ -53,6 +53,7 @@ class ExtendedKalmanFilter:
         self.scale = np.concatenate([plant.x_std, plant.bound * (2.0 * pi * plant.pace) ** np.arange(order)])
         self.xi = np.tile(np.concatenate([plant.x_hat, np.zeros(order)]), (batch, 1))
         self.P = np.tile(np.diag(self.scale**2), (batch, 1, 1))
+        self.Phi = self.P
         self.lost = np.zeros(batch, dtype=bool)
         self._start = self.xi[0].copy()
         self._identity = np.eye(N)
@@ -83,9 +84,9 @@ class ExtendedKalmanFilter:
     def predict(self, u: Array, h: float) -> None:
         """Go on by h (s) with the input u (B,m); a record of which the filter diverges is `lost`."""
         with np.errstate(over="ignore", invalid="ignore"):
-            Phi, Q = self._discretised(u, h)
-            self.xi = self.mean_after(u, h)
-            P = Phi @ self.P @ np.swapaxes(Phi, 1, 2) + Q
+            self.Phi, Q = self._discretised(u, h)
+            self.xi, P = self._moved(u, h)
+            P = P + Q
         self.P = 0.5 * (P + np.swapaxes(P, 1, 2))
         lost = ~np.all(np.abs(self.xi / self.scale) < _DIVERGED, axis=1) | ~np.all(np.isfinite(self.P), axis=(1, 2))
         if lost.any():
@@ -94,10 +95,14 @@ class ExtendedKalmanFilter:
             self.xi = np.where(lost[:, None], self._start, self.xi)
             self.P = np.where(lost[:, None, None], np.diag(self.scale**2), self.P)
 
-    def mean_after(self, u: Array, h: float) -> Array:
-        """Return ξ̂ (B,N) after h (s) with the input u (B,m), the disturbance a polynomial."""
+    def _moved(self, u: Array, h: float) -> tuple[Array, Array]:
+        """Return ξ̂ and P after h (s), without the noise."""
+        return self.motion(self.xi, u, h), self.Phi @ self.P @ np.swapaxes(self.Phi, 1, 2)
+
+    def motion(self, xi: Array, u: Array, h: float) -> Array:
+        """Return what becomes of ξ (…,N) in h (s) with the input u (…,m), the disturbance a polynomial."""
         n, plant = self.n, self.plant
-        x, derivatives = self.xi[:, :n], self.xi[:, n:]
+        x, derivatives = xi[:, :n], xi[:, n:]
         substeps = ceil(h / (_COARSER * plant.substep) - 1e-9)
         step = h / substeps
 
@@ -142,6 +147,23 @@ class ExtendedKalmanFilter:
         return Phi * scale[:, None] / scale, size[:, None, None] * Q * scale[:, None] * scale
 
 
+class UnscentedKalmanFilter(ExtendedKalmanFilter):
+    """The same with 2 N sigma points in place of the linearisation of the mean and its covariance.
+
+    The points lie √N standard deviations away along the principal axes of P and weigh the same. Q is the EKF's.
+    """
+
+    def _moved(self, u: Array, h: float) -> tuple[Array, Array]:
+        batch, N = self.xi.shape
+        values, axes = np.linalg.eigh(self.P / self.scale[:, None] / self.scale)
+        spread = self.scale * np.swapaxes(axes * np.sqrt(N * np.maximum(values, 0.0))[:, None, :], 1, 2)
+        points = self.xi[:, None, :] + np.concatenate([spread, -spread], axis=1)
+        moved = self.motion(points.reshape(-1, N), np.repeat(u, 2 * N, axis=0), h).reshape(batch, 2 * N, N)
+        mean = moved.mean(axis=1)
+        difference = moved - mean[:, None, :]
+        return mean, np.swapaxes(difference, 1, 2) @ difference / (2 * N)
+
+
 def ekf(
     record: Record,
     *,
@@ -150,8 +172,9 @@ def ekf(
     sigma: Array | None = None,
     parameters: Mapping[str, Any] | None = None,
     delay: float = 0.0,
+    kind: type[ExtendedKalmanFilter] = ExtendedKalmanFilter,
 ) -> dict[str, Array]:
-    """Run the filter over a record; its intensity is by default `tuned_intensity`.
+    """Run a filter of this kind over a record; its intensity is by default `tuned_intensity`.
 
     delay: s, by which every sample of the record is late; the filter knows it and is the best there is: it lives at the
     times of the samples and predicts from there.
@@ -162,7 +185,7 @@ def ekf(
     if intensity is None:
         intensity = tuned_intensity(plant, record.H, order)
     batch, count = record.Y.shape[:2]
-    filter_ = ExtendedKalmanFilter(plant, batch, order=order, intensity=intensity, sigma=sigma, parameters=parameters)
+    filter_ = kind(plant, batch, order=order, intensity=intensity, sigma=sigma, parameters=parameters)
     at, ahead, std = np.full((3, batch, count, 1), np.nan)
     edges = np.concatenate([record.t, [record.t[-1] + record.steps[-1]]])
     now = 0.0
@@ -183,6 +206,37 @@ def ekf(
     return {"at": at, "ahead": ahead, "std": std}
 
 
+def smoothed(record: Record, lag: int, *, order: int = 2, intensity: float | None = None) -> dict[str, Array]:
+    """Return `at` (B,K,1): d̂ at each sample from the `lag` later ones too, NaN where there are not so many.
+
+    Rauch, Tung and Striebel's recursion over windows of `lag` steps.
+    """
+    plant, (batch, count) = record.plant, record.Y.shape[:2]
+    if intensity is None:
+        intensity = tuned_intensity(plant, record.H, order)
+    filter_ = ExtendedKalmanFilter(plant, batch, order=order, intensity=intensity)
+    filtered, predicted, gains = [], [], []
+    for k in range(count):
+        filter_.update(record.Y[:, k])
+        filtered.append(filter_.xi)
+        P = filter_.P
+        filter_.predict(record.U[:, k], float(record.steps[k]))
+        predicted.append(filter_.xi)
+        # P Φᵀ (P⁻)⁻¹ in states of size one.
+        size = np.sqrt(np.diagonal(filter_.P, axis1=1, axis2=2))
+        crossed = filter_.Phi @ P / size[:, :, None]
+        normed = filter_.P / size[:, :, None] / size[:, None, :]
+        gains.append(np.swapaxes(np.linalg.solve(normed, crossed), 1, 2) / size[:, None, :])
+    xi_f, xi_p, G = np.stack(filtered), np.stack(predicted), np.stack(gains)
+    xi = xi_f[lag:]
+    for back in range(1, lag + 1):
+        part = slice(lag - back, count - back)
+        xi = xi_f[part] + (G[part] @ (xi - xi_p[part])[..., None])[..., 0]
+    at = np.full((batch, count, 1), np.nan)
+    at[:, : count - lag, 0] = xi[:, :, filter_.n].T
+    return {"at": at}
+
+
 def _go_on(filter_: ExtendedKalmanFilter, record: Record, edges: Array, begin: float, end: float) -> None:
     """Predict from `begin` to `end` (s), with the input of each step in its part."""
     rounding = 1e-9 * record.H
@@ -194,7 +248,7 @@ def _go_on(filter_: ExtendedKalmanFilter, record: Record, edges: Array, begin: f
 
 
 def _copy(filter_: ExtendedKalmanFilter) -> ExtendedKalmanFilter:
-    twin = object.__new__(ExtendedKalmanFilter)
+    twin = object.__new__(type(filter_))
     twin.__dict__.update(filter_.__dict__)
     return twin
 

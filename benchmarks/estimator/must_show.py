@@ -22,7 +22,8 @@ def tasks(pattern: str = "") -> list[Task]:
 def measured(pattern: str, seeds: Sequence[int], in_parallel: Parallel, workers: int) -> list[Figure]:
     """Return the figures of all tasks whose name contains the regular expression."""
     jobs = [(_run_named, task.name, tuple(seeds)) for task in tasks(pattern)]
-    return [figure for figures in in_parallel("estimator", jobs, workers) for figure in figures]
+    found = [figure for figures in in_parallel("estimator", jobs, workers) for figure in figures]
+    return [*found, *clean_rows.together(found)]
 
 
 def _run_named(name: str, seeds: Seeds) -> list[Figure]:

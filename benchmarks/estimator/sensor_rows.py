@@ -127,9 +127,9 @@ def stiff(seeds: Seeds) -> list[Figure]:
     text = "time constant 1e-6 s, 10 ms"
     return [
         Figure(f"{text}: plant, difference to Radau over the range", 1e-6, float(difference), "never ends"),
-        Figure(f"{text}: plant, s a step", 5e-3, of_plant, "never ends"),
+        Figure(f"{text}: plant, s a step", 5e-3, of_plant, "never ends", timed=True),
         Figure(f"{text}: observer, RMS", 0.05, found.rms, "never ends"),
-        Figure(f"{text}: observer, s a step, its design included", 5e-3, of_observer, "never ends"),
+        Figure(f"{text}: observer, s a step, its design included", 5e-3, of_observer, "never ends", timed=True),
     ]
 
 

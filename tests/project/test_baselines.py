@@ -315,13 +315,16 @@ def test_the_quick_benchmark_writes_page_and_plot(tmp_path):
         command, cwd=ROOT, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["accuracy.md", "accuracy.png"]
+    figures = ["accuracy.png", "accuracy_faults.png", "accuracy_plants.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["accuracy.md", *figures]
     page = (tmp_path / "accuracy.md").read_text("utf-8")
     assert page.startswith("# How accurate is the estimate")
     assert "short" not in page.split("## Required and measured")[1].split("##")[0]
     for signal in QUICK.signals:
         assert page.count(f"| {signal.name} |") >= 5
-    assert (tmp_path / "accuracy.png").read_bytes().startswith(b"\x89PNG")
+    for name in figures:
+        assert f"]({name})" in page
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("name", ["accuracy.png"])
