@@ -206,6 +206,34 @@ def ekf(
     return {"at": at, "ahead": ahead, "std": std}
 
 
+def out_of_sequence(record: Record, late: Sequence[int], *, order: int = 2, intensity: float) -> Array:
+    """Return d̂ at the samples (B,K,1) where output i comes late[i] steps after it was measured.
+
+    The filter keeps its estimate from before the latest sample that can still come, and goes over the steps since then
+    with all that has come: the best that can be done, at max(late) + 1 times the cost.
+    """
+    batch, count, p = record.Y.shape
+    longest = max(late)
+    filter_ = ExtendedKalmanFilter(record.plant, batch, order=order, intensity=intensity)
+    found = np.empty((batch, count, 1))
+    for k in range(count):
+        # `filter_` is the prediction for the step `begin`, all samples of which have come.
+        begin = max(0, k - longest)
+        twin = _copy(filter_)
+        for j in range(begin, k + 1):
+            y = np.full((batch, p), np.nan)
+            for i, steps in enumerate(late):
+                if j + steps <= k:
+                    y[:, i] = record.Y[:, j + steps, i]
+            twin.update(y)
+            if j == k:
+                found[:, k] = twin.d
+            twin.predict(record.U[:, j], float(record.steps[j]))
+            if j == k - longest:
+                filter_ = _copy(twin)
+    return found
+
+
 def smoothed(record: Record, lag: int, *, order: int = 2, intensity: float | None = None) -> dict[str, Array]:
     """Return `at` (B,K,1): d̂ at each sample from the `lag` later ones too, NaN where there are not so many.
 

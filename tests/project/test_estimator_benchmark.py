@@ -16,7 +16,7 @@ from benchmarks.estimator.alternatives import MASSES, extended_state_observer, r
 from benchmarks.estimator.clean_rows import together
 from benchmarks.estimator.comparison import cells
 from benchmarks.estimator.figures import Figure
-from benchmarks.estimator.kalman import ExtendedKalmanFilter, UnscentedKalmanFilter, ekf, smoothed
+from benchmarks.estimator.kalman import ExtendedKalmanFilter, UnscentedKalmanFilter, ekf, out_of_sequence, smoothed
 from benchmarks.estimator.ours import NotAvailableError, RefusedError, ours, ours_of, parameters_of, plant_run
 from benchmarks.estimator.page import ESTIMATORS, Results, sections
 from benchmarks.estimator.plants import CYLINDER, JOINT, LAG, MOTOR, PLANTS
@@ -169,6 +169,23 @@ def test_a_filter_of_late_samples_predicts_from_their_times():
     late = record.with_samples(np.concatenate([np.full((2, 1, 2), np.nan), record.Y[:, :-1]], axis=1))
     now, delayed = (ekf(r, intensity=30.0, delay=delay) for r, delay in ((record, 0.0), (late, H)))
     np.testing.assert_allclose(delayed["at"][:, 1:], now["ahead"][:, :-1], rtol=1e-9, atol=1e-9)
+
+
+def test_a_filter_that_goes_over_late_samples_again_equals_the_others_where_they_apply():
+    record = short_record()
+    now = ekf(record, intensity=30.0)
+    np.testing.assert_allclose(out_of_sequence(record, [0, 0], intensity=30.0), now["at"], rtol=0, atol=1e-12)
+    blank = np.full((2, 3, 2), np.nan)
+    both_late = record.with_samples(np.concatenate([blank, record.Y[:, :-3]], axis=1))
+    found = out_of_sequence(both_late, [3, 3], intensity=30.0)
+    expected = ekf(both_late, intensity=30.0, delay=3 * H)["at"]
+    np.testing.assert_allclose(found[:, 3:], expected[:, 3:], rtol=1e-9, atol=1e-9)
+    one_late = record.with_samples(np.stack([record.Y[:, :, 0], both_late.Y[:, :, 1]], axis=2))
+    between = [
+        np.mean((a - record.d)[:, 40:] ** 2)
+        for a in (now["at"], out_of_sequence(one_late, [0, 3], intensity=30.0), found)
+    ]
+    assert between == sorted(between)
 
 
 def test_on_a_linear_plant_the_unscented_filter_is_the_extended_one():
