@@ -241,7 +241,7 @@ def _tuning(order: int, sigma: float, signal: Signal) -> dict[str, float]:
     return {
         "method": 2,
         "disturbance_order": order,
-        "noise_std": sigma,
+        **{f"{output}_noise_std": sigma for output in OUTPUTS},
         "disturbance_bound": D0,
         "disturbance_rate": signal.rate(order),
     }
@@ -278,7 +278,7 @@ class Setting:
             equations,
             list(equations.parameters.values()),
             order=order,
-            noise_std=sigma,
+            noise_std=[sigma] * len(OUTPUTS),
             disturbance_bound=[D0],
             disturbance_rate=[signal.rate(order)],
             x_hat=self.x_hat.tolist(),

@@ -43,7 +43,7 @@ def by_definition(model):
         eq,
         model.parameter_values(),
         order=tuning.disturbance_order,
-        noise_std=tuning.noise_std,
+        noise_std=eq.noise_std,
         disturbance_bound=eq.disturbance_bound,
         disturbance_rate=eq.disturbance_rate,
         x_hat=[0.0] * len(eq.states),

@@ -95,10 +95,11 @@ model = Model(
     },
     lipschitz=6.0,
     disturbance_bound=20.0,
+    noise_std=6e-6,
     x0=[0.3, 0.0, -0.5, 4.0],
     xhat0=[0.3, 0.0, -0.5, 0.0],
     xhat0_std=[1e-2, 2.0, 1e-2, 4.0],
-    observer=ObserverDefaults(noise_std=6e-6, alpha=1.0, pi_start=1e2, pi_end=1e10, pi_ramp_time=1.0),
+    observer=ObserverDefaults(alpha=1.0, pi_start=1e2, pi_end=1e10, pi_ramp_time=1.0),
     disturbance=SignalDefaults(kind="sine", amplitude=10.0, frequency=1.0),
     experiment=Experiment(stop_time=3.0, step_size=1e-3),
 )

@@ -89,7 +89,7 @@ class ObserverSlave(Slave):
             self.values(self.equations.parameters),
             PiSchedule(*self.values(["pi_start", "pi_end", "pi_ramp_time"])),
             alpha=self.value("alpha"),
-            noise_std=self.value("noise_std"),
+            noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, self._for_disturbances("disturbance_bound")),
         )
 
@@ -100,7 +100,7 @@ class ObserverSlave(Slave):
             lumped(self.equations),
             self.values(self.equations.parameters),
             order=order,
-            noise_std=self.value("noise_std"),
+            noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, bound),
             disturbance_rate=lumped_rate(self.equations, bound, rate, order=order),
             x_hat=self._for_states("hat_start"),
@@ -111,6 +111,9 @@ class ObserverSlave(Slave):
 
     def _for_states(self, suffix: str) -> list[float]:
         return self.values(f"{name}_{suffix}" for name in self.equations.states)
+
+    def _for_outputs(self, suffix: str) -> list[float]:
+        return self.values(f"{name}_{suffix}" for name in self.equations.outputs)
 
     def _for_disturbances(self, name: str) -> list[float]:
         return self.values(for_each_disturbance(name, self.equations.disturbances).values())

@@ -58,6 +58,11 @@ def at_rest(suffix: str) -> Values:
     return {f"{state}{suffix}": 0.0 for state in STATES}
 
 
+def noise_of_the_angles(sigma: float) -> Values:
+    """Return the observer's parameters for samples of both angles with this noise (rad)."""
+    return {f"{angle}_noise_std": sigma for angle in MEASURED}
+
+
 def open_loop(fmus: Path, values: ParameterSet) -> System:
     """The paper's example: a single link with a flexible joint and its nonlinear disturbance observer, no feedback."""
     system = (
@@ -80,7 +85,7 @@ def closed_loop(fmus: Path, values: ParameterSet, noise_std: float, *, encoders:
         parameters: Values = {"noise_std": NOISE, "seed": seed}
         system = system.add(f"{angle}_encoder", fmus / "Encoder.fmu", parameters)
     known: Values = {f"{state}_hat_start_std": 0.1 for state in STATES}
-    tuning: Values = {"noise_std": noise_std, **at_rest("_hat_start"), **known, **values.belief}
+    tuning: Values = {**noise_of_the_angles(noise_std), **at_rest("_hat_start"), **known, **values.belief}
     system = (
         system.add("observer", fmus / "FlexibleJointObserver.fmu", tuning)
         .add(
@@ -120,7 +125,7 @@ def still_plant() -> Values:
 
 def free_observer() -> Values:
     """Return start values of an observer beside such an arm."""
-    return {"motor_torque": 0.0, "noise_std": SMALL_NOISE, **at_rest("_hat_start")}
+    return {"motor_torque": 0.0, **noise_of_the_angles(SMALL_NOISE), **at_rest("_hat_start")}
 
 
 def two_joints(fmus: Path, values: ParameterSet) -> System:

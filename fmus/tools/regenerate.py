@@ -121,14 +121,14 @@ def observers() -> tuple[Any, Any]:
         parameters,
         PiSchedule(tuning.pi_start, tuning.pi_end, tuning.pi_ramp_time),
         alpha=tuning.alpha,
-        noise_std=tuning.noise_std,
+        noise_std=eq.noise_std,
         disturbance_bound=eq.disturbance_bound,
     )
     sampled = sampled_observer(
         eq,
         parameters,
         order=tuning.disturbance_order,
-        noise_std=tuning.noise_std,
+        noise_std=eq.noise_std,
         disturbance_bound=eq.disturbance_bound,
         disturbance_rate=eq.disturbance_rate,
         x_hat=eq.xhat0,

@@ -11,6 +11,7 @@ from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import sampled_data_design
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
+from ndob_fmu.model.checks import by_name
 from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.design.lumping import lumped_bound, lumped_rate
@@ -25,7 +26,7 @@ def design(
     alpha: float | None = None,
     step_size: float | None = None,
     disturbance_order: int | None = None,
-    noise_std: float | None = None,
+    noise_std: float | Mapping[str, float] | None = None,
     disturbance_bound: float | Sequence[float] | None = None,
     disturbance_rate: float | Sequence[float] | None = None,
     parameters: Mapping[str, float] | None = None,
@@ -35,17 +36,25 @@ def design(
     pi, alpha: π > 0 and α > 0 (1/s) of the paper. A given π also sets the intensity of the sampled-data observer.
     step_size: H in s; None for the paper's observer alone.
     disturbance_order: r = 0 … 3.
-    noise_std: σ of the noise in a sample.
+    noise_std: σ of the noise in a sample of an output, {output: σ}, or one number for all.
     disturbance_bound: D₀, one number or one for each disturbance.
     disturbance_rate: the bound of |d^{(r)}| (of |ḋ| for r = 0), likewise.
 
-    The model has the values that are not given. For a disturbance with a channel the design is that of the lumped
+    Values that are not given are the model's. For a disturbance with a channel the design is that of the lumped
     inputs n_j d.
 
-    Raises UsageError for an invalid π, AssumptionError if an assumption of the paper fails, and DesignError for
-    other values outside their range, or if a gain is not accurate enough.
+    Raises UsageError for an invalid π, and for r, σ or bounds without a step_size; ModelError for an unknown output;
+    AssumptionError if an assumption of the paper fails; DesignError for other values outside their range, or if a gain
+    is not accurate enough.
     """
     require_model(model)
+    if step_size is None:
+        _require_none_given(
+            disturbance_order=disturbance_order,
+            noise_std=noise_std,
+            disturbance_bound=disturbance_bound,
+            disturbance_rate=disturbance_rate,
+        )
     expert = pi
     pi = model.observer.pi_end if pi is None else pi
     alpha = model.observer.alpha if alpha is None else alpha
@@ -72,12 +81,23 @@ def design(
         model,
         step_size=step_size,
         order=order,
-        noise_std=model.observer.noise_std if noise_std is None else noise_std,
+        noise_std=by_name("noise_std", {} if noise_std is None else noise_std, model.outputs, equations.noise_std),
         disturbance_bound=tuple(lumped_bound(equations, bound)),
         disturbance_rate=tuple(lumped_rate(equations, bound, rate, order=order)),
         by_pi=expert is not None,
         parameters=parameters,
     )
+
+
+def _require_none_given(**of_the_samples: object) -> None:
+    for name, value in of_the_samples.items():
+        if value is not None:
+            raise UsageError.report(
+                name,
+                expected="a step size with it",
+                received=f"{value!r} and no step size",
+                likely="only the sampled-data observer uses it, which step_size (--step-size) asks for",
+            )
 
 
 def _for_each(

@@ -26,7 +26,8 @@ _STEP_LIMITS = 0.1
 class SampledDataDesign(PaperDesign):
     """The paper's design and the sampled-data one at `step_size` H. N = n + r q2.
 
-    step_size, disturbance_order, noise_std: H (s), r, and σ of a sample.
+    step_size, disturbance_order: H (s) and r.
+    noise_std: σ of a sample by the name of its output.
     disturbance_bound, disturbance_rate (q2,): bounds of |d| and |d^{(r)}|.
     K (N,p): gain of the update.
     M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1.
@@ -42,7 +43,7 @@ class SampledDataDesign(PaperDesign):
 
     step_size: float
     disturbance_order: int
-    noise_std: float
+    noise_std: Mapping[str, float]
     disturbance_bound: tuple[float, ...]
     disturbance_rate: tuple[float, ...]
     K: Array
@@ -62,7 +63,7 @@ class SampledDataDesign(PaperDesign):
             **super().to_dict(),
             "step_size": self.step_size,
             "disturbance_order": self.disturbance_order,
-            "noise_std": self.noise_std,
+            "noise_std": dict(self.noise_std),
             "disturbance_bound": list(self.disturbance_bound),
             "disturbance_rate": list(self.disturbance_rate),
             "K": self.K.tolist(),
@@ -82,7 +83,7 @@ class SampledDataDesign(PaperDesign):
             super().__str__(),
             "",
             f"Sampled-data observer at H = {self.step_size:g} s, disturbance order r = {self.disturbance_order}, "
-            f"noise {self.noise_std:g}",
+            f"noise {', '.join(f'{sigma:g} in {output}' for output, sigma in self.noise_std.items())}",
             "",
             table("K", self.K),
             *([table("M_H", self.M_H)] if self.M_H is not None else []),
@@ -113,7 +114,7 @@ def sampled_data_design(
     *,
     step_size: float,
     order: int,
-    noise_std: float,
+    noise_std: tuple[float, ...],
     disturbance_bound: tuple[float, ...],
     disturbance_rate: tuple[float, ...],
     by_pi: bool,
@@ -151,7 +152,7 @@ def sampled_data_design(
         **{field.name: getattr(continuous, field.name) for field in fields(PaperDesign)},
         step_size=step_size,
         disturbance_order=order,
-        noise_std=noise_std,
+        noise_std=dict(zip(model.outputs, noise_std, strict=True)),
         disturbance_bound=disturbance_bound,
         disturbance_rate=disturbance_rate,
         K=found.K,

@@ -60,6 +60,7 @@ def _equations(model: Model) -> str:
         "xhat0_std": model.xhat0_std,
         "disturbance_bound": model.disturbance_bound,
         "disturbance_rate": model.disturbance_rate,
+        "noise_std": model.told("noise_std"),
         "lipschitz": float(model.lipschitz or 0.0),
         "f_states": tuple(j for j in range(len(model.states)) if any(entry != 0 for entry in jacobian.col(j))),
         "matched": model.matched,

@@ -7,7 +7,15 @@ from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
-from ndob_fmu.command_line.options import BUILD, DEMO_MODEL, MODEL_HELP, Commands, add_command, as_json
+from ndob_fmu.command_line.options import (
+    BUILD,
+    DEMO_MODEL,
+    MODEL_HELP,
+    Commands,
+    add_command,
+    as_json,
+    number_or_pairs,
+)
 from ndob_fmu.errors import UsageError
 from ndob_fmu.support.progress import begin
 
@@ -47,7 +55,12 @@ def add_model_commands(commands: Commands) -> None:
         choices=range(4),
         help="order r of the disturbance model: d and r - 1 derivatives are estimated",
     )
-    parser.add_argument("--noise-std", type=float, metavar="S", help="standard deviation of the noise in a sample")
+    parser.add_argument(
+        "--noise-std",
+        nargs="+",
+        metavar="OUTPUT S",
+        help="standard deviation of the noise in a sample of an output; one number S alone is for all outputs",
+    )
     for option, text in (("bound", "bound of |d|"), ("rate", "bound of the r-th derivative of d")):
         parser.add_argument(
             f"--disturbance-{option}",
@@ -111,7 +124,7 @@ def _design(options: argparse.Namespace) -> int:
         alpha=options.alpha,
         step_size=options.step_size,
         disturbance_order=options.disturbance_order,
-        noise_std=options.noise_std,
+        noise_std=number_or_pairs("--noise-std", options.noise_std),
         disturbance_bound=options.disturbance_bound,
         disturbance_rate=options.disturbance_rate,
     )

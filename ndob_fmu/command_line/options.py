@@ -34,13 +34,29 @@ def as_json(data: Any) -> str:
     return json.dumps(data, indent=2)
 
 
-def pairs(words: Sequence[str]) -> dict[str, str]:
-    """Return NAME VALUE … as a mapping; `simulate` converts each value to the variable's type."""
+def pairs(option: str, words: Sequence[str]) -> dict[str, str]:
+    """Return the NAME VALUE … of an option as a mapping."""
     if len(words) % 2:
         raise UsageError.report(
-            "--start-values", expected="pairs NAME VALUE", received=f"{len(words)} words", likely="a value is missing"
+            option, expected="pairs NAME VALUE", received=f"{len(words)} words", likely="a value is missing"
         )
     return dict(zip(words[::2], words[1::2], strict=True))
+
+
+def number_or_pairs(option: str, words: Sequence[str] | None) -> float | dict[str, float] | None:
+    """Return the one number of an option, or its NAME NUMBER … as a mapping; None where it is not given."""
+    if words is None:
+        return None
+    if len(words) == 1:
+        return _number(option, words[0])
+    return {name: _number(f"{option} {name}", text) for name, text in pairs(option, words).items()}
+
+
+def _number(option: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError.report(option, expected="a number, or pairs NAME NUMBER", received=repr(text)) from None
 
 
 def positive(text: str) -> int:

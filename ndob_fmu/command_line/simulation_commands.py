@@ -65,7 +65,7 @@ def _simulate(options: argparse.Namespace) -> int:
         "stop_time": options.stop_time,
         "step_size": options.step_size,
         "output_interval": options.output_interval,
-        "start_values": pairs(options.start_values),
+        "start_values": pairs("--start-values", options.start_values),
         "input_file": options.input_file,
         "tolerance": options.tolerance,
         "strict": options.strict,

@@ -9,8 +9,9 @@ from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.equations import Equations
 
 METHODS = {"paper": 1, "sampled_data": 2}
-_TUNING = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time", "disturbance_order", "noise_std")
+_TUNING = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time", "disturbance_order")
 _PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
+_PER_OUTPUT = ("_noise_std", "_residual", "_residual_std")
 
 
 METHOD = Enumeration(
@@ -38,7 +39,7 @@ DISTURBANCE_KIND = Enumeration(
 def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
     """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them."""
     derived = {f"{s}{suffix}" for s in states for suffix in ("_hat", "_start", "_hat_start", "_hat_start_std")}
-    derived |= {f"{output}{suffix}" for output in outputs for suffix in ("_residual", "_residual_std")}
+    derived |= {f"{output}{suffix}" for output in outputs for suffix in _PER_OUTPUT}
     derived |= {f"{d}{suffix}" for d in disturbances for suffix in ("_hat", "_at_sample", "_std", "_total")}
     return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "disturbance"}
 
@@ -141,11 +142,15 @@ def _tuning(eq: Equations) -> list[Variable]:
             minimum=0,
             maximum=3,
         ),
-        parameter(
-            "noise_std",
-            o.noise_std,
-            "Standard deviation of the noise in a sample of each output, in its unit; 0: as fast as rounding lets",
-            minimum=0.0,
+        *(
+            parameter(
+                f"{y}_noise_std",
+                value,
+                f"Standard deviation of the noise in a sample of {y}; 0: as fast as rounding lets",
+                unit=_unit(eq, y),
+                minimum=0.0,
+            )
+            for y, value in zip(eq.outputs, eq.noise_std, strict=True)
         ),
         *(
             parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)

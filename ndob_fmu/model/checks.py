@@ -136,6 +136,21 @@ def is_finite_number(value: Any) -> bool:
         return False
 
 
+def by_name(where: str, value: Any, names: Sequence[str], default: Sequence[float]) -> tuple[Any, ...]:
+    """Return a value for each name.
+
+    value: one number for all, or a mapping; what a mapping lacks has its `default`
+    """
+    if isinstance(value, Mapping):
+        require_known(where, value, names)
+        return tuple(value.get(name, other) for name, other in zip(names, default, strict=True))
+    if not is_finite_number(value):
+        raise ModelError.report(
+            where, expected=f"one number, or {{name: number}} with names of {some_of(names)}", received=repr(value)
+        )
+    return (value,) * len(names)
+
+
 def for_each(count: int, value: Any) -> Any:
     """Return one number as a list of `count` equal ones, all else as it is."""
     return [value] * count if is_finite_number(value) else value

@@ -8,7 +8,7 @@ import traceback
 import zipfile
 from pathlib import Path
 
-from ndob_fmu.errors import ModelError, some_of
+from ndob_fmu.errors import ModelError, NdobError, some_of
 from ndob_fmu.model.model import Model
 from ndob_fmu.support.progress import begin
 
@@ -41,7 +41,7 @@ def load_model(source: str | Path) -> Model:
         )
     try:
         model = runpy.run_path(str(path)).get("model")
-    except ModelError as error:
+    except NdobError as error:
         raise ModelError(f"{path}: {error}") from error
     except (Exception, SystemExit) as error:  # a user's file can raise anything
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]

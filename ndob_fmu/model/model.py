@@ -19,6 +19,7 @@ import sympy
 from ndob_fmu.errors import ModelError, UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import reserved_names
 from ndob_fmu.model.checks import (
+    by_name,
     for_each,
     require_distinct_names,
     require_finite,
@@ -34,6 +35,9 @@ from ndob_fmu.model.checks import (
 from ndob_fmu.model.expressions import Expressions, Nonlinearity, same_matrix
 from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults, lumped_names
+
+# What a user may say by name, or with one number for all: of which group of names, and what holds for the others.
+_BY_NAME = {"noise_std": ("outputs", 1e-4)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,8 @@ class Model:
     description: of the model
     lipschitz: γ of eq. (3)
     disturbance_bound: D₀, one number or one for each disturbance
+    noise_std: standard deviation of the noise in a sample of an output, in its unit: {output: σ} or one number for all;
+        1e-4 where it is not given, 0 for no noise
     x0, xhat0: start values of the plant and of its estimate, (n,)
     xhat0_std: standard deviation of the error of xhat0, (n,); by default |x0 − xhat0|, or 1 where that is 0
     observer, disturbance, experiment: start values of the FMUs
@@ -79,6 +85,7 @@ class Model:
     description: str = ""
     lipschitz: float | None = None
     disturbance_bound: float | Sequence[float] = 1.0
+    noise_std: float | Mapping[str, float] = _BY_NAME["noise_std"][1]
     x0: Sequence[float] | None = None
     xhat0: Sequence[float] | None = None
     xhat0_std: Sequence[float] | None = None
@@ -158,6 +165,18 @@ class Model:
             self._require_finite_parameter(name, value)
         return tuple(float(overrides.get(name, value)) for name, value in self.parameters.items())
 
+    def told(self, label: str) -> tuple[float, ...]:
+        """Return the numbers of a field that is said by name, `noise_std`, in the order of the names.
+
+        Raises ModelError for a name that is not one of them, and for a number that is not finite or below 0.
+        """
+        where, (group, default) = f"{self.name}.{label}", _BY_NAME[label]
+        names = tuple(getattr(self, group))
+        numbers = by_name(where, getattr(self, label), names, (default,) * len(names))
+        for name, number in zip(names, numbers, strict=True):
+            require_not_negative(f"{where}, {name}", number)
+        return tuple(map(float, numbers))
+
     # -- checks and conversions, once, when a model is made
 
     def _set(self, name: str, value: Any) -> None:
@@ -230,6 +249,10 @@ class Model:
         self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, differences, positive=True))
         bound = for_each(q, self.disturbance_bound)
         self._set("disturbance_bound", self._numbers("disturbance_bound", bound, (1.0,) * q, positive=True))
+        for label in _BY_NAME:
+            value = getattr(self, label)
+            self._set(label, MappingProxyType(dict(value)) if isinstance(value, Mapping) else value)
+            self.told(label)
         if k:
             bound = for_each(k, self.channel_bound)
             self._set("channel_bound", self._numbers("channel_bound", bound, (1.0,) * k, positive=True))

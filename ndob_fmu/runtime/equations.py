@@ -6,10 +6,11 @@ A module of this form is written from the symbolic model by `codegen.emit`; it i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
+from ndob_fmu.runtime.base_errors import NdobError
 from ndob_fmu.runtime.generated_steps import Steps
 from ndob_fmu.runtime.linear_part import LinearPart
 
@@ -25,22 +26,32 @@ class ObserverDefaults:
 
     method: 1 for the paper's observer, 2 for the sampled-data design
     disturbance_order: r = 0 … 3
-    noise_std: of a sample, in the outputs' units; 0 for no noise
     disturbance_rate: bound of |d^{(r)}|, in units of d per s^r, one number or (q2,). None: that of a sine of 1 Hz at
         the disturbance's bound. 0: the pace follows from pi_end
     alpha: α in 1/s
     pi_start, pi_end: π at the start and after the ramp
     pi_ramp_time: in s
+    noise_std: refused, with a line that names what replaces it
+
+    Raises NdobError where noise_std is given.
     """
 
     method: int = 2
     disturbance_order: int = 2
-    noise_std: float = 1e-4
     disturbance_rate: float | Sequence[float] | None = None
     alpha: float = 1.0
     pi_start: float = 1.0
     pi_end: float = 1e8
     pi_ramp_time: float = 1.0
+    noise_std: InitVar[object] = None
+
+    def __post_init__(self, noise_std: object) -> None:
+        if noise_std is not None:
+            raise NdobError.report(
+                "ObserverDefaults.noise_std",
+                expected="the noise of each sensor in Model(noise_std={output: number}), or one number there for all",
+                received=repr(noise_std),
+            )
 
 
 @dataclass(frozen=True)
@@ -98,6 +109,7 @@ class Equations:
     Names, units, descriptions and start values are those of `model.Model`. Functions take the parameters p in the order
     of `parameters`. They raise ArithmeticError or ValueError where they have no value, as a root has no slope at 0.
 
+    noise_std (p,): standard deviation of the noise in a sample of each output, in its unit; 0 for no noise
     lipschitz: γ of eq. (3)
     f_states: indices of the states that f depends on
     matched: whether f and d enter through the same channel (eq. 1)
@@ -127,6 +139,7 @@ class Equations:
     xhat0_std: tuple[float, ...]
     disturbance_bound: tuple[float, ...]
     disturbance_rate: tuple[float, ...]
+    noise_std: tuple[float, ...]
     lipschitz: float
     f_states: tuple[int, ...]
     matched: bool

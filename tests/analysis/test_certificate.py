@@ -25,7 +25,7 @@ def observer_for(model, order, *, noise_std=NOISE, rate=None):
         equations,
         model.parameter_values(),
         order=order,
-        noise_std=noise_std,
+        noise_std=[noise_std] * len(model.outputs),
         disturbance_bound=bound,
         disturbance_rate=rate or [b * 6.0 ** max(order, 1) for b in bound],
         x_hat=equations.x0,

@@ -10,7 +10,7 @@ import pytest
 from ndob_fmu.analysis.design import design
 from ndob_fmu.analysis.sampled_data_design import SampledDataDesign
 from ndob_fmu.cli import main
-from ndob_fmu.errors import DesignError, UsageError
+from ndob_fmu.errors import DesignError, ModelError, UsageError
 from tests.helpers.problems import MODELS
 
 FLEXIBLE = MODELS["flexible_joint"]
@@ -87,6 +87,16 @@ def test_several_disturbances_have_their_own_bounds_rates_and_predictions():
         ({"step_size": float("nan")}, UsageError, "step size"),
         ({"step_size": 1e-3, "disturbance_order": 4}, DesignError, "disturbance_order: expected 0, 1, 2 or 3"),
         ({"step_size": 1e-3, "noise_std": -1.0}, DesignError, "noise_std"),
+        ({"step_size": 1e-3, "noise_std": {"link_angel": 1.0}}, ModelError, "noise_std: .*did you mean 'link_angle'"),
+        (
+            {"step_size": 1e-3, "noise_std": [1.0, 2.0, 3.0]},
+            ModelError,
+            "noise_std: expected one number, or {name: number}",
+        ),
+        ({"noise_std": 1e-3}, UsageError, "noise_std: expected a step size with it"),
+        ({"disturbance_order": 2}, UsageError, "disturbance_order: expected a step size"),
+        ({"disturbance_bound": 2.0}, UsageError, "disturbance_bound: expected a step size"),
+        ({"disturbance_rate": 0.0}, UsageError, r"disturbance_rate: .*received 0.0 and no step size.*--step-size"),
         ({"step_size": 1e-3, "disturbance_bound": 0.0}, DesignError, "disturbance_bound"),
         ({"step_size": 1e-3, "disturbance_rate": float("inf")}, DesignError, "disturbance_rate"),
     ],
@@ -103,6 +113,37 @@ def test_the_command_prints_json_with_the_names_of_the_contract(capsys):
     assert {"L", "W", "M", "poles", "riccati_residual", "K", "M_H", "filter_poles"} <= data.keys()
     assert np.shape(data["K"]) == (6, 2)
     assert data["certificate"]["loop_gain"] < 1.0
+
+
+def test_each_output_has_a_noise_of_its_own_and_one_number_is_for_all(capsys):
+    command = ["design", "flexible_joint", "--step-size", "1e-3", "--json"]
+    found = {}
+    for words in ("1e-5", "link_angle 1e-5 motor_angle 1e-5", "motor_angle 1e-2 link_angle 1e-5", "motor_angle 1e-2"):
+        assert main([*command, "--noise-std", *words.split()]) == 0
+        found[words] = json.loads(capsys.readouterr().out)
+    one, two, mixed, partly = found.values()
+    assert one == two
+    assert mixed["noise_std"] == {"motor_angle": 1e-2, "link_angle": 1e-5}
+    assert partly["noise_std"] == {"motor_angle": 1e-2, "link_angle": 0.0}  # the model's own
+    # The motor's angle, with a thousand times the noise, gets less weight in every estimate.
+    for more, less in zip(np.abs(one["K"])[:, 0], np.abs(mixed["K"])[:, 0], strict=True):
+        assert less < 0.5 * more
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("motor_angle", "--noise-std: expected a number, or pairs NAME NUMBER, received 'motor_angle'"),
+        ("motor_angle 1 link_angle", "--noise-std: expected pairs NAME VALUE, received 3 words"),
+        ("motor_angle much", "--noise-std motor_angle: expected a number"),
+        ("motor_angel 1", "did you mean 'motor_angle'?"),
+    ],
+)
+def test_noises_that_cannot_be_read_are_refused_in_one_line(capsys, words, message):
+    assert main(["design", "flexible_joint", "--step-size", "1e-3", "--noise-std", *words.split()]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
 
 
 def test_the_command_takes_the_knowledge_of_the_disturbance(capsys):

@@ -53,7 +53,7 @@ def walk(role, name):
     model = with_name(role, name)
     assert check(model).passed, name
     design(model, step_size=1e-2)
-    knowledge = {"noise_std": 1e-3, "disturbance_bound": (1.0,), "disturbance_rate": (40.0,)}
+    knowledge = {"noise_std": (1e-3,), "disturbance_bound": (1.0,), "disturbance_rate": (40.0,)}
     start = {"x_hat": (0.0, 0.0), "x_std": (1.0, 1.0), "alpha": 0.5, "pi": 1e6}
     observer = sampled_observer(compile_model(model), (2.0,), order=2, **knowledge, **start)
     state = observer.init((0.0, 0.0))

@@ -87,7 +87,7 @@ def trial(plant, observer, random):
         random=random,
         start=start,
         stop=stop,
-        noise_std=NOISE,
+        **{f"{angle}_noise_std": NOISE for angle in ("motor_angle", "link_angle")},
         disturbance_order=order,
         disturbance_rate=2.0 * 6.2832**order,
     )

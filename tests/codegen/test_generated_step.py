@@ -63,7 +63,7 @@ def observer_of(name, order, H):
         eq,
         model.parameter_values(),
         order=order,
-        noise_std=1e-4,
+        noise_std=[1e-4] * len(eq.outputs),
         disturbance_bound=eq.disturbance_bound,
         disturbance_rate=[bound * 6.0 ** max(order, 1) for bound in eq.disturbance_bound],
         x_hat=eq.xhat0,

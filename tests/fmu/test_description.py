@@ -302,7 +302,14 @@ def test_ranges_are_those_that_the_observer_accepts(fmus):
         if (variable.min, variable.max) != (None, None)
     }
     assert ranges["disturbance_order"] == (0.0, 3.0)
-    for name in ("noise_std", "disturbance_bound", "disturbance_rate", "alpha", "pi_end", "link_angle_hat_start_std"):
+    for name in (
+        "link_angle_noise_std",
+        "disturbance_bound",
+        "disturbance_rate",
+        "alpha",
+        "pi_end",
+        "link_angle_hat_start_std",
+    ):
         assert ranges[name] == (0.0, None)
 
 

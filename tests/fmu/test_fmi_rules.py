@@ -147,7 +147,7 @@ def test_the_front_frees_an_instance_in_every_mode(flexible_joint, mode):
 
 def of_role(name):
     """Return a variable of the observer that has the role, and a value."""
-    return {"input": (INPUT, 0.3), "fixed": ("noise_std", 0.5), "calculated": ("load_torque_hat", 1.0)}[name]
+    return {"input": (INPUT, 0.3), "fixed": ("link_angle_noise_std", 0.5), "calculated": ("load_torque_hat", 1.0)}[name]
 
 
 @FRONT

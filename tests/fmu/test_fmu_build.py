@@ -154,7 +154,8 @@ def test_the_observer_has_the_variables_of_the_contract(flexible_joint):
     assert names["parameter"] >= {
         *("gravity_torque", "joint_stiffness", "motor_damping", *(f"{state}_hat_start" for state in states)),
         *("method", "alpha", "pi_start", "pi_end", "pi_ramp_time"),
-        *("disturbance_order", "noise_std", "disturbance_bound", "disturbance_rate"),
+        *("disturbance_order", "disturbance_bound", "disturbance_rate"),
+        *("motor_angle_noise_std", "link_angle_noise_std"),
     }
 
 

@@ -198,7 +198,7 @@ def test_parameters_that_admit_no_design_can_be_corrected_too(host):
 def test_fixed_parameters_and_outputs_are_not_set_in_step_mode(host):
     host.begin()
     first = host.step(0.0, H, motor_angle=0.3, link_angle=0.1)
-    assert host.set("noise_std", 1.0) == host.refusal
+    assert host.set("link_angle_noise_std", 1.0) == host.refusal
     assert host.set("load_torque_hat", 1.0) == host.refusal
     assert len(host.said) == 2
     assert host.get() == first
@@ -223,9 +223,11 @@ def test_a_plant_whose_solution_leaves_the_finite_numbers_discards_the_step_and_
         assert plant.doStep(0.0, 1e-6) == OK
 
 
-@pytest.mark.parametrize(("name", "value"), [("joint_stiffness", 1e12), ("noise_std", 1e300)])
-def test_parameters_of_sizes_that_no_design_can_take_discard_the_step_and_the_instance_lives(host, name, value):
-    host.begin(**{name: value})
+@pytest.mark.parametrize(
+    "parameters", [{"joint_stiffness": 1e12}, {"motor_angle_noise_std": 1e300, "link_angle_noise_std": 1e300}]
+)
+def test_parameters_of_sizes_that_no_design_can_take_discard_the_step_and_the_instance_lives(host, parameters):
+    host.begin(**parameters)
     assert host.doStep(0.0, H) == DISCARD
     assert "expected each to show in an output" in host.said[-1]
     assert host.reset() == OK

@@ -140,13 +140,16 @@ def torque_at(k):
     return 0.5 * np.sin(0.3 * k)
 
 
+SIGMA = [1e-3, 2e-3]  # rad, of motor and link
+
+
 def paper_core(eq, parameters, x_hat):
-    tuning = {"noise_std": 1e-3, "disturbance_bound": [3.0]}
+    tuning = {"noise_std": SIGMA, "disturbance_bound": [3.0]}
     return paper_observer(eq, parameters, PiSchedule(10.0, 1e8, 0.5), alpha=0.5, **tuning)
 
 
 def sampled_core(eq, parameters, x_hat):
-    tuning = {"noise_std": 1e-3, "disturbance_bound": [3.0], "disturbance_rate": [20.0], "order": 1, "pi": 1e8}
+    tuning = {"noise_std": SIGMA, "disturbance_bound": [3.0], "disturbance_rate": [20.0], "order": 1, "pi": 1e8}
     return sampled_observer(eq, parameters, alpha=0.5, x_hat=x_hat, x_std=[0.3, 0.4, 0.5, 0.6], **tuning)
 
 
@@ -161,7 +164,13 @@ def test_the_observer_is_its_core_to_the_last_bit(flexible_joint, method, make):
         **dict(zip((f"{name}_hat_start" for name in STATES), [0.1, 0.2, 0.3, 0.4], strict=True)),
         **dict(zip((f"{name}_hat_start_std" for name in STATES), [0.3, 0.4, 0.5, 0.6], strict=True)),
         **{"method": method, "alpha": 0.5, "pi_start": 10.0, "pi_end": 1e8, "pi_ramp_time": 0.5},
-        **{"noise_std": 1e-3, "disturbance_bound": 3.0, "disturbance_rate": 20.0, "disturbance_order": 1},
+        **{
+            "motor_angle_noise_std": SIGMA[0],
+            "link_angle_noise_std": SIGMA[1],
+            "disturbance_bound": 3.0,
+            "disturbance_rate": 20.0,
+            "disturbance_order": 1,
+        },
     }
     with driven(flexible_joint.observer, starts, inputs=["link_angle", "motor_torque", "motor_angle"]) as observer:
         observer.component.initialize()

@@ -77,7 +77,7 @@ def test_what_happens_to_one_instance_changes_no_other(fmus):
     with unpacked(path) as instance:
         one, other = run(instance()), instance()
         rows = [next(one)]
-        other.begin(method=1, noise_std=1e-3)
+        other.begin(method=1, link_angle_noise_std=1e-3)
         for step, row in enumerate(one):
             rows.append(row)
             other.doStep(step * H, H)

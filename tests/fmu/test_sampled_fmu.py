@@ -98,7 +98,8 @@ def test_the_residual_is_the_sample_less_its_prediction(flexible_joint):
 
 
 def test_the_error_bar_in_the_fmu_covers_the_error_from_the_first_sample_on(flexible_joint):
-    recording = run(flexible_joint, 5e-3, kind=3, order=2, amplitude=2.0, **{"observer.noise_std": 1e-5})
+    noise = {f"observer.{angle}_noise_std": 1e-5 for angle in ("motor_angle", "link_angle")}
+    recording = run(flexible_joint, 5e-3, kind=3, order=2, amplitude=2.0, **noise)
     error = np.abs(recording["observer.load_torque_hat"] - recording["plant.load_torque_total"])
     std = recording["observer.load_torque_std"]
     assert std[0] == 5.0

@@ -41,7 +41,7 @@ def observer_alone(plant: Path, observer: Path, steps: int = 2000) -> Study:
     )
     recorded = (torque, *reference(driven)[:, 1:].T)
     inputs = {f"observer.{name}": tuple(v) for name, v in zip(("motor_torque", *PLANT[1::-1]), recorded, strict=True)}
-    starts = {"observer.noise_std": 1e-5}
+    starts = {f"observer.{name}_noise_std": 1e-5 for name in ("motor_angle", "link_angle")}
     shown = _columns(observer=OBSERVER)
     return Study({"observer": str(observer)}, starts=starts, inputs=inputs, shown=shown, steps=steps)
 
@@ -52,7 +52,8 @@ def coupled_twice(plant: Path, observer: Path) -> Study:
     for number, amplitude in enumerate((1.0, -3.0)):
         starts |= {f"plant{number}.motor_torque": 0.2, f"observer{number}.motor_torque": 0.2}
         starts |= {f"plant{number}.load_torque": 0.0, f"plant{number}.disturbance.amplitude": amplitude}
-        starts |= {f"observer{number}.noise_std": 10.0 ** (-6 + number)}
+        sigma = 10.0 ** (-6 + number)
+        starts |= {f"observer{number}.{name}_noise_std": sigma for name in ("motor_angle", "link_angle")}
         connections += [(f"plant{number}.{name}", f"observer{number}.{name}") for name in ("link_angle", "motor_angle")]
     return Study(
         {"plant0": str(plant), "observer0": str(observer), "plant1": str(plant), "observer1": str(observer)},

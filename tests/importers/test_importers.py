@@ -48,7 +48,7 @@ def test_steps_that_differ_by_the_rounding_of_times_give_the_bits_of_equal_steps
     with unpacked(flexible_joint.observer) as instance:
         counted, rounded, varied = instance("counted"), instance("rounded"), instance("varied")
         for one in (counted, rounded, varied):
-            one.begin(start_time=7.0, noise_std=1e-6)
+            one.begin(start_time=7.0, motor_angle_noise_std=1e-6, link_angle_noise_std=1e-6)
         sizes, steps = set(), []
         for k in range(50):
             t, H, y = 7.0 + k * 1e-3, (7.0 + (k + 1) * 1e-3) - (7.0 + k * 1e-3), 1.0 + 0.01 * k

@@ -284,6 +284,37 @@ def test_bounds_are_finite_and_not_negative(value):
     assert refused(disturbance_bound=value).startswith("Plant.disturbance_bound: expected ")
 
 
+def test_the_noise_of_a_sample_is_said_for_each_output_or_for_all():
+    assert plant(noise_std=2e-3).told("noise_std") == (2e-3,) * 5
+    assert plant(noise_std={"z": 2, "a": 0.0}).told("noise_std") == (0.0, 1e-4, 2.0, 1e-4, 1e-4)
+    assert compile_model(plant(noise_std={"y": 3e-3})).noise_std == (1e-4, 3e-3, 1e-4, 1e-4, 1e-4)
+    fewer = replace(plant(noise_std={"y": 3e-3}), outputs=["y"], C=[[1, 1, 0, 0]])
+    assert compile_model(fewer).noise_std == (3e-3,)
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ({"z": -1.0}, "Plant.noise_std, z: expected a finite number ≥ 0, received -1.0"),
+        ({"z": float("nan")}, "Plant.noise_std, z: expected a finite number ≥ 0, received nan"),
+        ({"z": "small"}, "Plant.noise_std, z: expected a finite number ≥ 0, received 'small'"),
+        ({"b": 1.0}, "Plant.noise_std: expected one of the names a, d, w, y, z, received 'b'"),
+        ("small", "Plant.noise_std: expected one number, or {name: number} with names of a, y, z, d, w"),
+        ([1.0, 2.0], "Plant.noise_std: expected one number, or {name: number}"),
+    ],
+)
+def test_a_noise_that_no_sensor_has_is_refused(value, says):
+    assert says in refused(noise_std=value)
+
+
+def test_a_noise_among_the_observers_defaults_is_refused_with_what_replaces_it(tmp_path):
+    path = tmp_path / "old.py"
+    path.write_text("from ndob_fmu import ObserverDefaults\nObserverDefaults(noise_std=1e-3)\n")
+    with pytest.raises(ModelError) as caught:
+        load_model(path)
+    assert "expected the noise of each sensor in Model(noise_std={output: number})" in one_line(caught.value)
+
+
 def nested_if(x, u, p):
     return [x.a if x.a > 0 else 0, 0, 0]
 

@@ -96,9 +96,10 @@ def test_a_motor_with_the_currents_id_and_iq_runs_as_fmus(tmp_path):
     )
     assert len(design(motor, step_size=1e-3).poles) == 3
     plant, observer = build(motor, tmp_path)
+    sigma = {f"{name}_noise_std": 1e-6 for name in motor.outputs}
     system = System()
     system.add("plant", FmuComponent(plant), {"abs": 0.1, "float": 0.2, "sum": 0.7})
-    system.add("observer", FmuComponent(observer), {"abs": 0.1, "float": 0.2, "noise_std": 1e-6})
+    system.add("observer", FmuComponent(observer), {"abs": 0.1, "float": 0.2, **sigma})
     for name in motor.outputs:
         system.connect(f"plant.{name}", f"observer.{name}")
     run = simulate(system, stop_time=0.1, step_size=1e-3)

@@ -81,7 +81,7 @@ def test_on_a_linear_plant_the_kalman_filter_is_this_packages_observer(order):
         equations,
         list(equations.parameters.values()),
         order=order,
-        noise_std=sigma,
+        noise_std=[sigma] * p,
         disturbance_bound=[D0],
         disturbance_rate=[rate],
         x_hat=[0.0] * n,

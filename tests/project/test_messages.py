@@ -85,6 +85,11 @@ def test_few_names_are_listed_many_are_counted_and_none_is_said():
     assert nearest("gian", []) == ""
 
 
+def test_the_names_that_have_more_in_front_are_the_nearest_of_a_name():
+    known = ["noisy_std", "angle_noise_std", "pressure_of_the_oil_noise_std", "u"]
+    assert nearest("noise_std", known) == "did you mean 'angle_noise_std' or 'pressure_of_the_oil_noise_std'?"
+
+
 LARGE = 3000
 
 

@@ -35,7 +35,7 @@ plant.disturbance.kind = ["sine", "constant"]
 [latin_hypercube]
 runs = 3
 plant.joint_stiffness = {{ from = 0.9, to = 1.1 }}
-observer.noise_std = {{ from = 1e-6, to = 1e-3, scale = "log" }}
+observer.link_angle_noise_std = {{ from = 1e-6, to = 1e-3, scale = "log" }}
 [measures]
 "error <b>" = {{ of = "observer.load_torque_hat", minus = "plant.load_torque_total", take = "rms" }}
 """
@@ -139,7 +139,7 @@ def test_the_report_of_a_study_shows_its_figures_and_escapes_names(driver, study
     # Three drawn points, each with the median of its four runs; the levels of the grid make a heat map.
     assert len(driver.find_elements("css selector", "#plot-1 .point")) == 3
     assert driver.find_element("css selector", "#plot-1 .xtitle").text == "plant.joint_stiffness [N·m/rad]"
-    assert driver.find_element("css selector", "#plot-1 .ytitle").text == "observer.noise_std"
+    assert driver.find_element("css selector", "#plot-1 .ytitle").text == "observer.link_angle_noise_std [rad]"
     driver.execute_async_script(
         "const buttons = document.getElementById('plot-1').layout.updatemenus[0].buttons;"
         "const menu = buttons[buttons.length - 1].args;"

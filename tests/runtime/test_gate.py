@@ -21,7 +21,7 @@ def design():
         eq,
         model.parameter_values(),
         order=2,
-        noise_std=1e-5,
+        noise_std=[1e-5] * len(eq.outputs),
         disturbance_bound=[2.0],
         disturbance_rate=[80.0],
         x_hat=eq.xhat0,

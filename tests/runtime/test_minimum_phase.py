@@ -26,7 +26,7 @@ def sampled(model, alpha, order):
         eq,
         model.parameter_values(),
         order=order,
-        noise_std=1e-4,
+        noise_std=[1e-4] * len(eq.outputs),
         disturbance_bound=eq.disturbance_bound,
         disturbance_rate=eq.disturbance_rate,
         x_hat=eq.xhat0,

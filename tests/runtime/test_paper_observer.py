@@ -169,7 +169,7 @@ def test_the_estimate_at_the_sample_is_that_of_the_sample():
 
 def test_the_error_bar_is_the_noise_times_its_gain_and_what_w_leaves_of_the_largest_constant_load():
     """hypot(√π ‖w‖ σ, (1 − dc gain) D₀), both factors as `design` reports them, at the start and at the end of π."""
-    observer = joint_observer(PiSchedule(1e4, 1e8, 0.1), noise_std=1e-5, disturbance_bound=(5.0,))
+    observer = joint_observer(PiSchedule(1e4, 1e8, 0.1), noise_std=(1e-5, 1e-5), disturbance_bound=(5.0,))
     state = observer.init(WRONG)
     error_bars = [observer.estimate(state, (0.0, 0.0)).d_std]
     for _ in range(20):

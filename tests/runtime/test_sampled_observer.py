@@ -24,7 +24,7 @@ def observer_of(model=FLEXIBLE, *, order=2, noise_std=0.0, bound=None, rate=None
         eq,
         model.parameter_values(),
         order=order,
-        noise_std=noise_std,
+        noise_std=[noise_std] * len(model.outputs),
         disturbance_bound=bound,
         disturbance_rate=[b * SINE ** max(order, 1) for b in bound] if rate is None else rate,
         x_hat=eq.xhat0,
@@ -345,7 +345,7 @@ def test_an_input_that_is_not_finite_is_replaced_by_the_last_one():
     ("wrong", "says"),
     [
         ({"order": 4}, "disturbance_order: expected 0, 1, 2 or 3, received 4"),
-        ({"noise_std": -1.0}, "noise_std: expected a finite number ≥ 0"),
+        ({"noise_std": -1.0}, "noise_std: expected finite numbers ≥ 0"),
         ({"noise_std": np.nan}, "noise_std"),
         ({"bound": [0.0]}, "disturbance_bound: expected finite numbers > 0"),
         ({"rate": [-1.0]}, "disturbance_rate: expected finite numbers ≥ 0"),

@@ -270,17 +270,17 @@ def test_bounds_that_make_no_sense_are_refused_for_the_lumped_inputs_too(changes
 
 def observer_of(model, method, *, order=2, noise_std=0.0, bound=20.0, pi=1e10):
     eq, p = compile_model(model), model.parameter_values()
-    rate = [bound * (2.0 * np.pi) ** max(order, 1)]
+    rate, sigma = [bound * (2.0 * np.pi) ** max(order, 1)], [noise_std] * len(eq.outputs)
     if method == 1:
         within = lumped_bound(eq, [bound])
         schedule = PiSchedule(1e2, pi, 1.0)
-        made = paper_observer(lumped(eq), p, schedule, alpha=1.0, noise_std=noise_std, disturbance_bound=within)
+        made = paper_observer(lumped(eq), p, schedule, alpha=1.0, noise_std=sigma, disturbance_bound=within)
     else:
         made = sampled_observer(
             lumped(eq),
             p,
             order=order,
-            noise_std=noise_std,
+            noise_std=sigma,
             disturbance_bound=lumped_bound(eq, [bound]),
             disturbance_rate=lumped_rate(eq, [bound], rate, order=order),
             x_hat=eq.xhat0,
@@ -328,7 +328,7 @@ def test_the_force_is_found_while_its_direction_turns(order, H, at_sample, ahead
     [(2, 1e-3, 2.5, 0.018), (2, 1e-2, 9.0, 0.036), (3, 1e-3, 2.5, 0.011), (3, 1e-2, 9.0, 0.025)],
 )
 def test_with_the_encoders_noise_it_is_found_within_its_error_bar(order, H, stop, rms):
-    sigma = ARM.observer.noise_std
+    sigma = ARM.noise_std
     found = run(ARM, observer_of(ARM, 2, order=order, noise_std=sigma, bound=AMPLITUDE), H, noise_std=sigma, stop=stop)
     late = found.t > 0.5
     error = np.abs(found.d_hat - found.d_ahead)[late]
@@ -385,7 +385,8 @@ def coupled(arm_fmus, H, method):
     connections = [(("plant", name), ("observer", name)) for name in ARM.outputs]
     torques = dict(zip(ARM.inputs, TURNING, strict=True))
     starts = {(part, name): value for part in components for name, value in torques.items()}
-    starts |= {("plant", "tool_force"): 0.0, ("observer", "method"): method, ("observer", "noise_std"): 0.0}
+    starts |= {("plant", "tool_force"): 0.0, ("observer", "method"): method}
+    starts |= {("observer", f"{name}_noise_std"): 0.0 for name in ARM.outputs}
     return simulate(System(components, connections, starts), stop_time=STOP, step_size=H)
 
 

@@ -32,7 +32,11 @@ VARIANTS = {
     **{record.name: {"": moved(record.variables)} for record in records()},
     "FlexibleJointPlant": {"": SINE},
     "DisturbanceSource": {"": SINE, ", noise": SINE | {"disturbance.kind": 6}},
-    OBSERVER: {"": {}, ", noise": {"noise_std": 1e-6}, ", method 1": {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.5}},
+    OBSERVER: {
+        "": {},
+        ", noise": {"motor_angle_noise_std": 1e-6, "link_angle_noise_std": 1e-5},
+        ", method 1": {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.5},
+    },
 }
 RUN = ("new fmu", "setup 0", "enter", "exit", "run 200 0.001 {inputs} {outputs}", "terminate", "free")
 EXECUTABLE = windows_path(PYTHON / "python.exe")
@@ -171,7 +175,7 @@ def test_without_the_variable_the_python_on_path_serves_and_without_both_one_lin
 
 def test_the_front_refuses_what_a_host_must_not_do(unpacked):
     native = Native(unpacked / "plain")
-    output, parameter = native.references("load_torque_hat"), native.references("noise_std")
+    output, parameter = native.references("load_torque_hat"), native.references("link_angle_noise_std")
     done = native.run(
         "new fmu {wrong-guid}",
         "new fmu",

@@ -19,8 +19,8 @@ _PAGE = """\
 <pre>sample   LSB round((angle + bias + noise_std n) / LSB),   LSB = 2π / counts_per_revolution</pre>
 <p>n is standard normal, drawn from <code>seed</code> and the number of the sample (Philox 4x64, Box and Muller). It
 depends neither on other instances nor on earlier draws. Rounding adds an error with a standard deviation of LSB/√12,
-which is 4.4e-4 rad for 4096 counts. If the noise is smaller, take this as the <code>noise_std</code> of an
-observer.</p>
+which is 4.4e-4 rad for 4096 counts. If the noise is smaller, take this as the observer's
+<code>&lt;output&gt;_noise_std</code>.</p>
 <p>Samples are taken at the start and every <code>sample_time</code> after it; with 0, at the end of each step. Where no
 step ends at such a time, the sample is taken at the end of the step across it. A sample is shown <code>delay</code>
 later, or from the end of the first step after that: the delay is exact if it is a multiple of the step. Until the first

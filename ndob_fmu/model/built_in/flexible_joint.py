@@ -48,9 +48,10 @@ model = Model(
     },
     lipschitz=10.0,
     disturbance_bound=5.0,
+    noise_std=0.0,
     x0=[1.0, 1.0, 1.0, 1.0],
     xhat0=[-1.0, -1.0, -1.0, -1.0],
-    observer=ObserverDefaults(noise_std=0.0, alpha=1.0, pi_start=1.0, pi_end=1e12, pi_ramp_time=10.0),
+    observer=ObserverDefaults(alpha=1.0, pi_start=1.0, pi_end=1e12, pi_ramp_time=10.0),
     disturbance=SignalDefaults(kind="constant", amplitude=2.0),
     experiment=Experiment(stop_time=20.0, step_size=1e-3),
 )

@@ -21,14 +21,14 @@ class ScheduledGains:
     linear: the plant's matrices.
     schedule: π over time.
     table: L over ln π.
-    noise_std: σ of a sample, for the error bar.
+    noise_std (p,): σ of a sample of each output, for the error bar; empty for none.
     disturbance_bound (q2,): D₀, for the error bar; empty for none.
     """
 
     linear: LinearPart
     schedule: PiSchedule
     table: GainTable = field(repr=False)
-    noise_std: float
+    noise_std: Vector
     disturbance_bound: Vector
     # π stays the same after its ramp, and so do these.
     _to_w: LatestResult[Array] = field(default_factory=LatestResult, repr=False, compare=False)
@@ -43,7 +43,7 @@ class ScheduledGains:
     def disturbance_std(self, log_pi: float) -> Array:
         """Return the error bar (q2,) of d̂.
 
-        It is the noise of a sample times √π, together with the error that W leaves of a constant |d| = D₀.
+        It is the noise of the samples times √π, together with the error that W leaves of a constant |d| = D₀.
         """
 
         def compute() -> Array:
@@ -51,7 +51,7 @@ class ScheduledGains:
             gain = linear.selector @ self.output_to_w(log_pi)
             constant = gain @ linear.C @ np.linalg.solve(L @ linear.C - linear.A, linear.G_d)
             bound = np.array(self.disturbance_bound or [0.0] * len(constant))
-            noise = np.linalg.norm(gain, axis=1) * self.noise_std
+            noise = np.linalg.norm(gain * np.array(self.noise_std or [0.0] * len(linear.C)), axis=1)
             return np.asarray(np.hypot(noise, np.abs(constant - np.eye(len(constant))) @ bound))
 
         return self._d_std((log_pi,), compute)

@@ -196,13 +196,15 @@ def paper_observer(
     *,
     alpha: float,
     hold_degree: int = 2,
-    noise_std: float = 0.0,
+    noise_std: Vector = (),
     disturbance_bound: Vector = (),
 ) -> PaperObserver:
     """Design the observer for the given parameter values.
 
-    `noise_std` of a sample and `disturbance_bound` D₀ (q2,) go into the error bar only. Raises DesignError where the
-    gains cannot be trusted, AssumptionError where α reaches the zeros.
+    noise_std (p,): σ of a sample of each output, for the error bar only
+    disturbance_bound (q2,): D₀, for the error bar only
+
+    Raises DesignError where the gains cannot be trusted, AssumptionError where α reaches the zeros.
     """
     linear = equations.linear_part(parameters)
     if not (np.isfinite(alpha) and alpha > 0.0):

@@ -287,7 +287,7 @@ def sampled_observer(
     parameters: Vector,
     *,
     order: int,
-    noise_std: float,
+    noise_std: Vector,
     disturbance_bound: Vector,
     disturbance_rate: Vector,
     x_hat: Vector,
@@ -297,7 +297,7 @@ def sampled_observer(
 ) -> SampledObserver:
     """Prepare the observer of disturbance order r = 0 … 3; the gain is designed at the first step, which tells H.
 
-    noise_std: σ of every output's sample; 0 for no noise
+    noise_std (p,): ≥ 0, σ of each output's sample; 0 for no noise
     disturbance_bound (q2,): D₀ > 0, the bound of |d|
     disturbance_rate (q2,): ≥ 0, the bound of |d^{(r)}|, of |ḋ| for r = 0; with 0 the pace follows from `pi`
     x_hat (n,): the estimate to start from
@@ -307,10 +307,12 @@ def sampled_observer(
     Raises DesignError for values outside these ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
     """
     _require("disturbance_order", order in ORDERS, "0, 1, 2 or 3", order)
-    _require("noise_std", np.isfinite(noise_std) and noise_std >= 0.0, "a finite number ≥ 0", noise_std)
     _require("alpha", np.isfinite(alpha) and alpha > 0.0, "a finite number > 0", alpha)
     _require("pi_end", np.isfinite(pi) and pi > 0.0, "a finite number > 0", pi)
-    bound, rate, std = (np.array(v, dtype=float) for v in (disturbance_bound, disturbance_rate, x_std))
+    sigma, bound, rate, std = (
+        np.array(v, dtype=float) for v in (noise_std, disturbance_bound, disturbance_rate, x_std)
+    )
+    _require("noise_std", bool(np.all(np.isfinite(sigma) & (sigma >= 0.0))), "finite numbers ≥ 0", sigma)
     _require("disturbance_bound", bool(np.all(np.isfinite(bound) & (bound > 0.0))), "finite numbers > 0", bound)
     _require("disturbance_rate", bool(np.all(np.isfinite(rate) & (rate >= 0.0))), "finite numbers ≥ 0", rate)
     _require("hat_start_std", bool(np.all(np.isfinite(std) & (std > 0.0))), "finite numbers > 0", std)
@@ -320,7 +322,7 @@ def sampled_observer(
     # No sample is better than the rounding of a number of its size.
     size = np.abs(linear.C @ np.array(x_hat, dtype=float)) + np.abs(linear.C) @ std
     known = Knowledge(
-        R_factor=np.diag(np.maximum(noise_std, 4.0 * np.finfo(float).eps * size)),
+        R_factor=np.diag(np.maximum(sigma, 4.0 * np.finfo(float).eps * size)),
         disturbance_bound=bound,
         disturbance_rate=rate,
         lipschitz=equations.lipschitz,
