@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -87,14 +87,15 @@ def _equations(plant: Plant) -> Equations:
     return compile_model(plant.model())
 
 
-def usual_parameters(plant: Plant, order: int = 2) -> dict[str, Any]:
-    """Return the FMU's parameters as a user would set them for the plant."""
+def parameters_of(plant: Plant, **others: Any) -> dict[str, Any]:
+    """Return the FMU's parameters as a user would set them for the plant, with `others` in place of theirs."""
     model = plant.model()
     told = {f"{y}_noise_std": float(s) for y, s in zip(model.outputs, plant.sigma, strict=True)}
     told |= {f"{x}_hat_start": float(v) for x, v in zip(model.states, plant.x_hat, strict=True)}
     told |= {f"{x}_hat_start_std": float(v) for x, v in zip(model.states, plant.x_std, strict=True)}
+    order = int(others.get("disturbance_order", 2))
     told |= {"method": 2, "disturbance_order": order, "disturbance_bound": plant.bound}
-    return told | {"disturbance_rate": plant.rate(order)}
+    return told | {"disturbance_rate": plant.rate(order)} | others
 
 
 def ours(plant: Plant, H: float, U: Array, Y: Array, T: Array | None = None, **fmu_parameters: Any) -> Estimates:
@@ -109,9 +110,7 @@ def ours(plant: Plant, H: float, U: Array, Y: Array, T: Array | None = None, **f
     Raises NotAvailableError for a parameter that the FMU has not, RefusedError where it logs an error.
     """
     slave, model = _QuietObserver(_equations(plant)), plant.model()
-    slave.begin(
-        parameters_of(_names(slave), plant, fmu_parameters) | dict(zip(model.outputs, Y[0].tolist(), strict=True))
-    )
+    slave.begin(parameters_of(plant, **fmu_parameters) | dict(zip(model.outputs, Y[0].tolist(), strict=True)))
     names = [v.name for v in slave.variables.declared if v.causality == "output"]
     steps = np.full(len(Y), H) if T is None else T
     rows = slave.run(np.hstack([U, Y]), [*model.inputs, *model.outputs], steps)
@@ -143,7 +142,7 @@ def ours_of(record: Record, **fmu_parameters: Any) -> Estimates:
 def published_intensity(plant: Plant, H: float, order: int = 2, **fmu_parameters: Any) -> float:
     """Return the intensity of the white noise behind d^{(r)} that ours works with at the step H (s)."""
     slave = _QuietObserver(_equations(plant))
-    slave.begin(parameters_of(_names(slave), plant, {"disturbance_order": order} | fmu_parameters))
+    slave.begin(parameters_of(plant, disturbance_order=order, **fmu_parameters))
     return float(slave.observer.designs.intensities(H).disturbance[0])  # type: ignore[attr-defined]
 
 
@@ -153,20 +152,3 @@ def plant_run(plant: Plant, H: float, U: Array) -> Array:
     slave.begin({f"{x}_start": float(value) for x, value in zip(model.states, plant.x0, strict=True)})
     names = [v.name for v in slave.variables.declared if v.causality == "output"]
     return slave.run(U, list(model.inputs), np.full(len(U), H))[:, [names.index(x) for x in model.states]]
-
-
-def parameters_of(names: Container[str], plant: Plant, given: dict[str, Any]) -> dict[str, Any]:
-    """Return the parameters for an FMU with variables of these names: the usual ones, but for the given ones.
-
-    An FMU with one noise figure for all outputs gets that where they agree.
-    """
-    values = usual_parameters(plant, int(given.get("disturbance_order", 2))) | given
-    noise = {name: values[name] for name in values if name.endswith("_noise_std")}
-    if "noise_std" in names and len(set(noise.values())) == 1:
-        values = {name: value for name, value in values.items() if name not in noise}
-        values["noise_std"] = next(iter(noise.values()))
-    return values
-
-
-def _names(slave: Slave) -> set[str]:
-    return {variable.name for variable in slave.variables.declared}

@@ -261,8 +261,7 @@ def test_ours_in_this_process_is_the_built_fmu(tmp_path):
     values = np.empty(len(names))
     inputs = [*model.inputs, *model.outputs]
     try:
-        told = parameters_of({v.name for v in component.variables}, JOINT, {})
-        component.setup(0.0, 1.0, told, inputs)
+        component.setup(0.0, 1.0, parameters_of(JOINT), inputs)
         component.set_inputs(np.append(record.U[0, 0], record.Y[0, 0]))
         component.initialize()
         for k in range(len(record.t)):
