@@ -14,6 +14,7 @@ from benchmarks.estimator.records import jump, simulate
 from benchmarks.estimator.scores import score, settling_time
 from benchmarks.estimator.tasks import Seeds, Task, ms, plant_of
 
+ORDERS = (0, 1, 2, 3)
 # Plant, H, what the first version reached, and a limit besides that of the Kalman filter.
 _CELLS: tuple[tuple[Plant, float, str, float | None], ...] = (
     (CYLINDER, 1e-3, ".0077", None),
@@ -42,10 +43,9 @@ def tasks() -> list[Task]:
         *(Task(f"clean {plant.name} {ms(H)}", accuracy, (plant.name, H, *more)) for plant, H, *more in _CELLS),
         *(Task(f"settling motor {ms(H)}", settling, (H, once)) for H, once in ((1e-2, ".12 s"), (2e-2, ".24 s"))),
         *(
-            Task(f"coverage {plant.name} {ms(H)} r = {order}", coverage, (plant.name, H, order))
+            Task(f"coverage {plant.name} {ms(H)}", coverage, (plant.name, H))
             for plant, steps in _COVERED
             for H in steps
-            for order in (1, 2, 3)
         ),
     ]
 
@@ -77,22 +77,27 @@ def settling(seeds: Seeds, H: float, once: str) -> list[Figure]:
     ]
 
 
-def coverage(seeds: Seeds, name: str, H: float, order: int) -> list[Figure]:
-    """Judge the error bars and `valid`."""
+def coverage(seeds: Seeds, name: str, H: float) -> list[Figure]:
+    """Judge the error bars and `valid` for each disturbance order."""
     record = simulate(plant_of(name), H, seeds)
-    found = score(record, ours_of(record, disturbance_order=order))
-    text = f"{name}, {ms(H)}, r = {order}"
-    return [
-        Figure(f"{text}{_COVERAGE}", 0.90, found.covered, at_least=True),
-        Figure(f"{text}{_COVERAGE}", 0.99, found.covered),
-        Figure(f"{text}: largest std, D₀", 1.0, found.largest_std),
-        Figure(f"{text}: share with `valid` true", 1.0, found.valid, at_least=True),
-    ]
+    figures = []
+    for order in ORDERS:
+        found = score(record, ours_of(record, disturbance_order=order))
+        text = f"{name}, {ms(H)}, r = {order}"
+        figures += [
+            Figure(f"{text}{_COVERAGE}", 0.90, found.covered, at_least=True),
+            Figure(f"{text}: largest std, D₀", 1.0, found.largest_std),
+            Figure(f"{text}: share with `valid` true", 1.0, found.valid, at_least=True),
+        ]
+    return figures
 
 
 def together(figures: Sequence[Figure]) -> list[Figure]:
-    """Return the mean coverage of all cells that `coverage` has judged; empty if there are none."""
-    shares = [f.measured for f in figures if f.text.endswith(_COVERAGE) and f.at_least and f.measured is not None]
+    """Return the mean coverage of all cells that `coverage` has judged; empty if there are none.
+
+    Only the mean has an upper limit: where a long step makes most of the error a bias, all of a cell lies inside.
+    """
+    shares = [f.measured for f in figures if f.text.endswith(_COVERAGE) and f.measured is not None]
     if not shares:
         return []
     mean, text = float(np.mean(shares)), f"mean of {len(shares)} cells{_COVERAGE}"
