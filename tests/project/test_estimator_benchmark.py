@@ -345,10 +345,8 @@ def test_a_task_that_needs_what_the_fmu_lacks_is_one_short_figure():
 
 def test_the_coverage_of_all_cells_is_their_mean():
     text = "joint, good samples: share within 2·std"
-    found = together(
-        [Figure(text, 0.9, 0.9, at_least=True), Figure(text, 0.99, 0.9), Figure(text, 0.9, 1.0, at_least=True)]
-    )
-    assert [figure.measured for figure in found] == [0.95, 0.95]
+    found = together([Figure(text, 0.9, 0.9, at_least=True), Figure("rms", 1.0, 0.5), Figure(text, 0.9, 1.0)])
+    assert [(figure.limit, figure.measured) for figure in found] == [(0.90, 0.95), (0.99, 0.95)]
     assert together([Figure("other", 1.0, 1.0)]) == []
 
 
