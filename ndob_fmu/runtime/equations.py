@@ -10,6 +10,7 @@ from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
+from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import NdobError
 from ndob_fmu.runtime.generated_steps import Steps
 from ndob_fmu.runtime.linear_part import LinearPart
@@ -168,3 +169,10 @@ class Equations:
             G_d=G_d,
             matched=self.matched,
         )
+
+    def slopes(self, x: Vector, u: Vector, d: Vector, d_rate: Array, parameters: Vector) -> tuple[Array, Array]:
+        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂t (n,) where d changes at d_rate (q2,)."""
+        n, q = len(self.states), len(d_rate)
+        entries = self.linearisation(x, u, d, parameters)
+        rows = np.array(entries[: n * (n + q)], dtype=float).reshape(n, n + q)
+        return rows[:, :n], rows[:, n:] @ d_rate

@@ -31,7 +31,8 @@ static void next_substep(double *t, double *length, double *left, double *trials
     *left = t_end - *t;
     *planned = length_after(tried, norm);
     *length = *planned >= *left * (1.0 - 1e-12) ? *left : *planned;
-    int too_many = count >= 100000 || (count == 10000 && *left > 100000 * *planned);
+    int too_many = count >= 100000 || (count == 10000 && *left > 100000 * *planned)
+        || (count >= 30 && *left * count > 500 * *t && *left > 500 * *planned);
     *trials = too_many || !isfinite(norm) ? 0 : count + 1;
 }
 """

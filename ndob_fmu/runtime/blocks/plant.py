@@ -1,6 +1,7 @@
 """The plant between communication points, integrated far more accurately than any observer could tell.
 
-The substeps are tried by generated scalar code (`Equations.steps`); `step_by_definition` is what that must equal.
+The substeps are tried by generated scalar code (`Equations.steps`); `step_by_definition` is what that must equal. Where
+many would be needed, `numerics.stiff` takes their place.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.blocks.disturbance import Generator
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.generated_steps import Trial
-from ndob_fmu.runtime.numerics.integrate import NODES, adapt, integrate
+from ndob_fmu.runtime.numerics.integrate import NODES, adapt, adapt_in_few
+from ndob_fmu.runtime.numerics.stiff import Derivatives, Slopes, integrate_any, integrate_stiff
+
+# Between the times at which the rate of a generator is taken, in parts of a step in which none of them jumps.
+_DIFFERENCE = 1e-6
 
 
 @dataclass  # never changed once made; frozen=True would make that cost a tenth of a step
@@ -60,7 +65,14 @@ class Plant:
             return self.step_by_definition(state, u, d, t_end, step_size)
         x, substep = state.x, state.substep
         for begin, end, duration in self._stretches(state.t, t_end, step_size):
-            x, substep = adapt(self._trial(u, d, constants, begin, end, duration), x, 0.0, duration, substep)
+            trial = self._trial(u, d, constants, begin, end, duration)
+            explicit = adapt_in_few(trial, x, duration, substep)
+            if explicit is not None:
+                x, substep = explicit
+                continue
+            rates, slopes = self._derivatives(u, d, begin, end), self._slopes(u, d, begin, end)
+            after = integrate_stiff(rates, slopes, np.array(x), duration)
+            x, substep = adapt(trial, x, 0.0, duration, substep) if after is None else (tuple(after.tolist()), substep)
         return PlantState(x=x, t=t_end, substep=substep)
 
     def step_by_definition(
@@ -69,7 +81,8 @@ class Plant:
         """Do what `step` does, for its tests and for parameters at which the generated code cannot be prepared."""
         x, substep = np.array(state.x), state.substep
         for begin, end, duration in self._stretches(state.t, t_end, step_size):
-            x, substep = integrate(self._derivatives(u, d, begin, end), x, 0.0, duration, substep)
+            rates, slopes = self._derivatives(u, d, begin, end), self._slopes(u, d, begin, end)
+            x, substep = integrate_any(rates, slopes, x, duration, substep)
         return PlantState(x=tuple(x.tolist()), t=t_end, substep=substep)
 
     def _stretches(self, t: float, t_end: float, step_size: float | None) -> list[tuple[float, float, float]]:
@@ -102,7 +115,7 @@ class Plant:
 
         return trial
 
-    def _derivatives(self, u: Vector, d: Vector, begin: float, end: float) -> Callable[[float, Array], Array]:
+    def _derivatives(self, u: Vector, d: Vector, begin: float, end: float) -> Derivatives:
         """Return ẋ as a function of the time since `begin` and x (n,); d has not yet jumped at `end`."""
         last_inside = nextafter(end, begin)
 
@@ -111,3 +124,16 @@ class Plant:
             return np.array(self.equations.derivatives(x.tolist(), u, total, self.parameters), dtype=float)
 
         return derivatives
+
+    def _slopes(self, u: Vector, d: Vector, begin: float, end: float) -> Slopes:
+        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂t (n,) as functions of the time since `begin` and x (n,)."""
+        last_inside, apart = nextafter(end, begin), _DIFFERENCE * (end - begin)
+
+        def slopes(since: float, x: Array) -> tuple[Array, Array]:
+            t = min(begin + since, last_inside)
+            before, after = max(begin, t - apart), min(last_inside, t + apart)
+            change = np.subtract(self.disturbance(after, d), self.disturbance(before, d))
+            d_rate = change / (after - before) if after > before else 0.0 * change
+            return self.equations.slopes(x.tolist(), u, self.disturbance(t, d), d_rate, self.parameters)
+
+        return slopes

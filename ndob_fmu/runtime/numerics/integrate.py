@@ -1,10 +1,10 @@
-"""The integrator of plant and prediction: Cash and Karp's method of order 5, at rounding-level tolerance."""
+"""The explicit integrator of plant and prediction: Cash and Karp's method of order 5, at rounding-level tolerance."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf, isfinite
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,10 @@ ABSOLUTE_TOLERANCE = 1e-12
 # In one communication step. After so many trials, 0.1 s of a plant's generated code, the rest is judged by its substep.
 MOST_SUBSTEPS = 100_000
 _JUDGED_AFTER = 10_000
+# Where the pace of the first trials and the present substep tell that more than so many are left, `numerics.stiff` is
+# tried. A start far from where a fast state settles takes 200 even where it is not stiff, 2 ms of generated code.
+_FIRST_TRIALS = 30
+_FEW_SUBSTEPS = 500
 # A substep that comes this near to the end of the interval goes to the end.
 _ALMOST = 1.0 - 1e-12
 
@@ -37,6 +41,7 @@ _STAGE_WEIGHTS = tuple(np.array(weights) for weights in STAGE_WEIGHTS)
 _WEIGHTS, _ERROR_WEIGHTS = np.array(WEIGHTS), np.array(ERROR_WEIGHTS)
 
 X = TypeVar("X")
+Trial: TypeAlias = Callable[[float, X, float], tuple[X, float]]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the finite numbers ends in an error below, not in a warning
@@ -47,6 +52,11 @@ def integrate(
 
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
+    return adapt(cash_karp(derivatives, t, t_end), x, t, t_end, h)
+
+
+def cash_karp(derivatives: Callable[[float, Array], Array], t: float, t_end: float) -> Trial[Array]:
+    """Return the trial of a substep as `adapt` wants it, in an interval from t to t_end."""
     # At a jump of the right-hand side in time t_end already has the new value; the last stage needs the old one.
     last_inside = np.nextafter(t_end, t)
 
@@ -60,7 +70,7 @@ def integrate(
         errors = np.abs(step * (_ERROR_WEIGHTS @ K)) / (ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * np.abs(after))
         return after, float(np.max(errors, initial=0.0))
 
-    return adapt(trial, x, t, t_end, h)
+    return trial
 
 
 class Substep(NamedTuple):
@@ -80,46 +90,79 @@ class Substep(NamedTuple):
     planned: float
 
 
-def adapt(
-    trial: Callable[[float, X, float], tuple[X, float]], x: X, t: float, t_end: float, h: float
-) -> tuple[X, float]:
+def adapt(trial: Trial[X], x: X, t: float, t_end: float, h: float) -> tuple[X, float]:
     """Return x at t_end from x at t, and the substep to try next, by trials of which h is the first one's.
 
     trial(t, x, step) returns x at t + step and the norm of its error, at most 1 where it may be accepted.
+
+    Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
+    done = _adapt(trial, x, t, t_end, h, _next_of_any)
+    if isinstance(done, IntegrationError):
+        raise done
+    return done
+
+
+def adapt_in_few(trial: Trial[X], x: X, t_end: float, h: float) -> tuple[X, float] | None:
+    """Return what `adapt` does from t = 0; None where that fails, or is seen to need many trials."""
+    done = _adapt(trial, x, 0.0, t_end, h, next_substep)
+    return None if isinstance(done, IntegrationError) else done
+
+
+def _adapt(
+    trial: Trial[X],
+    x: X,
+    t: float,
+    t_end: float,
+    h: float,
+    following: Callable[[float, float, int, float, float], Substep],
+) -> tuple[X, float] | IntegrationError:
     left, trials, planned = t_end - t, 1, h
-    length = _cut(planned, left)
+    length = cut(planned, left)
     while True:
         try:
             after, error_norm = trial(t, x, length)
         except (ArithmeticError, ValueError) as error:
-            raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
+            return IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})")
         if not isfinite(error_norm):
-            raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
+            return IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
         if error_norm <= 1.0:
             x = after
             if length == left:
                 # A substep cut short by the end of the interval says little against the longer one that was planned.
                 return x, max(planned, _length_after(length, error_norm))
-        t, length, left, trials, planned = next_substep(t, length, trials, error_norm, t_end)
+        t, length, left, trials, planned = following(t, length, trials, error_norm, t_end)
         if not trials:
-            raise IntegrationError(
+            return IntegrationError(
                 f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
                 "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
             )
 
 
 def next_substep(t: float, length: float, trials: int, error_norm: float, t_end: float) -> Substep:
-    """Return the substep to try after the one from t of this length and error; `trials` counts those until now."""
+    """Return the substep to try after the one from t of this length and error, in an interval that began at 0.
+
+    trials: until now. Those of the result are 0 too where many more would be needed.
+    """
+    substep = _next_of_any(t, length, trials, error_norm, t_end)
+    by_pace, by_length = (
+        substep.left * trials > _FEW_SUBSTEPS * substep.t,
+        substep.left > _FEW_SUBSTEPS * substep.planned,
+    )
+    return substep._replace(trials=0) if trials >= _FIRST_TRIALS and by_pace and by_length else substep
+
+
+def _next_of_any(t: float, length: float, trials: int, error_norm: float, t_end: float) -> Substep:
     if error_norm <= 1.0:
         t += length
     left, planned = t_end - t, _length_after(length, error_norm)
     too_many = trials >= MOST_SUBSTEPS or (trials == _JUDGED_AFTER and left > MOST_SUBSTEPS * planned)
     hopeless = too_many or not isfinite(error_norm)
-    return Substep(t, _cut(planned, left), left, 0 if hopeless else trials + 1, planned)
+    return Substep(t, cut(planned, left), left, 0 if hopeless else trials + 1, planned)
 
 
-def _cut(planned: float, left: float) -> float:
+def cut(planned: float, left: float) -> float:
+    """Return the planned substep, or what is left of the interval where that ends with it."""
     return left if planned >= left * _ALMOST else planned
 
 

@@ -14,8 +14,8 @@ from ndob_fmu.runtime.design.augmented import discretise
 from ndob_fmu.runtime.design.stationary_design import scaled_noise
 from ndob_fmu.runtime.design.step_designs import StepDesign
 from ndob_fmu.runtime.equations import Equations, Vector
-from ndob_fmu.runtime.numerics.integrate import integrate
 from ndob_fmu.runtime.numerics.kalman import predict
+from ndob_fmu.runtime.numerics.stiff import integrate_any
 
 
 def predict_state(equations: Equations, parameters: Vector, xi_hat: Array, held: Array, u: Vector, H: float) -> Array:
@@ -27,11 +27,16 @@ def predict_state(equations: Equations, parameters: Vector, xi_hat: Array, held:
     r = (len(xi_hat) - n) // q
     series = xi_hat[n:].reshape(r, q) if r else held[None]
 
-    def derivatives(t: float, x: Array) -> Array:
-        d = sum((row * t**i / factorial(i) for i, row in enumerate(series)), np.zeros(q))
-        return np.array(equations.derivatives(x.tolist(), u, d.tolist(), parameters), dtype=float)
+    def taylor(rows: Array, t: float) -> Array:
+        return np.asarray(sum((row * t**i / factorial(i) for i, row in enumerate(rows)), np.zeros(q)))
 
-    x_after, _ = integrate(derivatives, xi_hat[:n], 0.0, H, H)
+    def derivatives(t: float, x: Array) -> Array:
+        return np.array(equations.derivatives(x.tolist(), u, taylor(series, t).tolist(), parameters), dtype=float)
+
+    def slopes(t: float, x: Array) -> tuple[Array, Array]:
+        return equations.slopes(x.tolist(), u, taylor(series, t).tolist(), taylor(series[1:], t), parameters)
+
+    x_after, _ = integrate_any(derivatives, slopes, xi_hat[:n], H, H)
     later = [sum((series[j] * H ** (j - i) / factorial(j - i) for j in range(i, r)), np.zeros(q)) for i in range(r)]
     return np.concatenate([x_after, *later])
 
