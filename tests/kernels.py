@@ -26,7 +26,16 @@ KERNELS = {"Haswell": ("Haswell",), "Sandybridge": ("Sandybridge",), "Prescott":
 NUMERICAL = [
     *(
         f"tests/runtime/test_{name}.py"
-        for name in ("kalman", "stationary_design", "tuning", "riccati", "minimum_phase", "exponential", "augmented")
+        for name in (
+            "kalman",
+            "stationary_design",
+            "tuning",
+            "intensity_law",
+            "riccati",
+            "minimum_phase",
+            "exponential",
+            "augmented",
+        )
     ),
     "tests/analysis/test_certificate.py",
 ]

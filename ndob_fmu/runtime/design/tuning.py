@@ -25,13 +25,15 @@ from ndob_fmu.runtime.linear_part import LinearPart
 # f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
 # standard deviations of the noise makes of it.
 _F_ERROR_IN_SIGMA = 10.0
-# The range of bandwidths over 1/H; beyond the last one only rounding changes the gain.
-_SLOWEST, _FASTEST = 1e-4, 4.0
-_SCAN = 9
+# The range of the search: the least bandwidth over 1/H, and the largest ratio of the disturbance's spectrum at 1/H to
+# that of the noise, beyond which only rounding changes the gain.
+_SLOWEST = 1e-4
+_FASTEST = 1e6
+_SCAN = 10
 # Where the logarithm of the cost is nearly flat, a bandwidth lower by a factor e may cost this part more.
 _SLOWER = 1e-4
-_PARABOLAS = 2
-_CLOSER = 0.3  # the distance of the costs for a parabola, over that of those before
+_PARABOLAS = 3
+_CLOSER = 0.4  # the distance of the costs for a parabola, over that of those before
 
 
 @dataclass(frozen=True)
@@ -56,31 +58,57 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
     Where samples have hardly any noise, only the ratio of the intensities counts, and a large ratio no longer does. The
     scale makes the white noise on w_d over a step as large as D (for r = 0, that on G as large as D₀).
     """
-
-    discrete = discretise(system, H, alpha)
-    found: dict[float, StationaryDesign] = {}
-
-    def cost(log_bandwidth: float) -> float:
-        nearest = min(found, key=lambda other: abs(other - log_bandwidth), default=None)
-        similar = None if nearest is None else found[nearest]
-        try:
-            design = design_for(system, discrete, known.R_factor, _at(np.exp(log_bandwidth)), alpha, similar)
-            found[log_bandwidth] = design
-        except DesignError:  # at the far ends of the range; where every design fails, the final one raises
-            return np.inf
-        with np.errstate(all="ignore"):
-            bias, noise = predicted_error(design, known.disturbance_rate)
-        total = float(np.sum((bias + noise) / known.disturbance_bound))
-        return float(np.log(total)) if np.isfinite(total) else np.inf
-
-    def _at(bandwidth: float) -> Intensities:
-        return at_bandwidth(system, H, bandwidth, known)
-
-    best = _minimise(cost, np.log(_SLOWEST / H), np.log(_FASTEST / H))
-    tuned = _at(float(np.exp(best)))
+    bandwidth = PredictedErrors(system, H, alpha, known).best_bandwidth()
+    tuned = at_bandwidth(system, H, bandwidth, known)
     pace = known.disturbance_rate if system.order else known.disturbance_bound
     scale = float(np.max(np.sqrt(H) * pace / np.sqrt(tuned.disturbance[-len(pace) :])))
     return replace(tuned, scale=max(1.0, scale))
+
+
+class PredictedErrors:
+    """The two parts of J over the bandwidth, at the step H (s). It makes each design once.
+
+    ν times the noise and ν² times the intensities leave a gain as it is. So J for any noise follows from the same two
+    parts, bias + ν noise, at the same bandwidths.
+    """
+
+    def __init__(self, system: Augmented, H: float, alpha: float, known: Knowledge) -> None:
+        self._system, self._alpha, self._known = system, alpha, known
+        self._discrete = discretise(system, H, alpha)
+        self._designs: dict[float, StationaryDesign] = {}
+        self._parts: dict[float, tuple[float, float]] = {}
+
+    def best_bandwidth(self, noise_scale: float = 1.0) -> float:
+        """Return the bandwidth (rad/s) of the least J for `noise_scale` times the noise that was told."""
+
+        def cost(log_bandwidth: float) -> float:
+            bias, noise = self.at(log_bandwidth)
+            total = bias + noise_scale * noise
+            return float(np.log(total)) if np.isfinite(total) else np.inf
+
+        H = self._discrete.H
+        fastest = fastest_bandwidth(self._system, H, self._known)
+        return float(np.exp(_minimise(cost, np.log(_SLOWEST / H), np.log(fastest))))
+
+    def at(self, log_bandwidth: float) -> tuple[float, float]:
+        """Return Σ |E| D / D₀ and Σ std / D₀, infinite where there is no design."""
+        if log_bandwidth not in self._parts:
+            self._parts[log_bandwidth] = self._predicted(log_bandwidth)
+        return self._parts[log_bandwidth]
+
+    def _predicted(self, log_bandwidth: float) -> tuple[float, float]:
+        known, discrete = self._known, self._discrete
+        nearest = min(self._designs, key=lambda other: abs(other - log_bandwidth), default=None)
+        similar = None if nearest is None else self._designs[nearest]
+        try:
+            intensities = at_bandwidth(self._system, discrete.H, float(np.exp(log_bandwidth)), known)
+            design = design_for(self._system, discrete, known.R_factor, intensities, self._alpha, similar)
+        except DesignError:  # at the far ends of the range; where every design fails, the final one raises
+            return np.inf, np.inf
+        self._designs[log_bandwidth] = design
+        with np.errstate(all="ignore"):
+            bias, noise = predicted_error(design, known.disturbance_rate)
+            return float(np.sum(bias / known.disturbance_bound)), float(np.sum(noise / known.disturbance_bound))
 
 
 def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
@@ -90,9 +118,15 @@ def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge
     s g² / ω^{2(r+ρ)} in an output, the noise σ² H.
     """
     rates = known.disturbance_rate
-    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    degree, gain = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
     common = H * bandwidth ** (2 * (system.order + degree)) / gain**2 / rates[0] ** 2
     return _complete(system, H, common * rates**2, bandwidth, known)
+
+
+def fastest_bandwidth(system: Augmented, H: float, known: Knowledge) -> float:
+    """Return the bandwidth (rad/s) beyond which no intensity changes the gain at the step H (s)."""
+    degree, _ = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    return float(_FASTEST ** (0.5 / (system.order + degree)) / H)
 
 
 def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensities:
@@ -104,7 +138,7 @@ def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensi
 
 def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge) -> float:
     """Return the bandwidth (rad/s) that an intensity on the first disturbance asks for; see `at_bandwidth`."""
-    degree, gain = _first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    degree, gain = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
     return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
 
 
@@ -147,7 +181,7 @@ def predicted_error(design: StationaryDesign, rate: Array) -> tuple[Array, Array
     return design.bias_gain() @ rate, design.noise_std()
 
 
-def _first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
+def first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
     """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise.
 
     Raises DesignError where no output depends on it, or where parameters are so far out of proportion that rounding
