@@ -24,10 +24,9 @@ from ndob_fmu.cosim.component import recordable
 from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.design.augmented import augment
 from ndob_fmu.runtime.design.schedule import PiSchedule
-from ndob_fmu.runtime.design.tuning import at_bandwidth, tuned_intensities
+from ndob_fmu.runtime.design.tuning import Knowledge, at_bandwidth, tuned_intensities
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.step.paper_observer import paper_observer
-from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 
 MODEL = "flexible_joint"
 OUTPUTS = ("motor_angle", "link_angle")
@@ -264,27 +263,28 @@ def ours_scores(fmus: tuple[Path, Path], data: Record, order: int, plan: Plan) -
 
 @dataclass(frozen=True)
 class Setting:
-    """The flexible joint in the baselines' form, and linearised hanging down for the tuning of the Kalman filter."""
+    """The flexible joint in the baselines' form, its linear part, and what the observers are told of it.
+
+    tuning: the joint linearised where it hangs down, for the intensity of the Kalman filter
+    lipschitz: γ
+    """
 
     system: System
+    linear: LinearPart
     tuning: LinearPart
+    lipschitz: float
     x_hat: Array
     x_std: Array
 
-    def same_knowledge(self, order: int, sigma: float, signal: Signal) -> SampledObserver:
-        """Return the observer of this package, for what it was told: σ and its floor, D₀, D_r and the prior."""
-        equations = compile_model(load_model(MODEL))
-        return sampled_observer(
-            equations,
-            list(equations.parameters.values()),
-            order=order,
-            noise_std=[sigma] * len(OUTPUTS),
-            disturbance_bound=[D0],
-            disturbance_rate=[signal.rate(order)],
-            x_hat=self.x_hat.tolist(),
-            x_std=self.x_std.tolist(),
-            alpha=1.0,
-            pi=PAPER_PI,
+    def known(self, order: int, sigma: float, signal: Signal) -> Knowledge:
+        """Return what the observers are told: σ, at least the rounding of a sample, D₀ and D_r."""
+        C, rounding = np.abs(self.system.C), 4.0 * np.finfo(float).eps
+        size = C @ np.abs(self.x_hat) + C @ self.x_std
+        return Knowledge(
+            R_factor=np.diag(np.maximum(sigma, rounding * size)),
+            disturbance_bound=np.array([D0]),
+            disturbance_rate=np.array([signal.rate(order)]),
+            lipschitz=self.lipschitz,
         )
 
 
@@ -302,7 +302,8 @@ def setting() -> Setting:
     system = System(linear.A, linear.C, linear.G_f, linear.G_d, lambda x: -gravity * np.sin(x[:, :1]), jacobian)
     hanging = linear.A + linear.G_f @ jacobian(np.zeros((1, 4)))[0]
     tuning = LinearPart(A=hanging, B=linear.B, C=linear.C, G_f=np.zeros((4, 0)), G_d=linear.G_d, matched=False)
-    return Setting(system, tuning, np.array(equations.xhat0), np.array(equations.xhat0_std))
+    start = np.array(equations.xhat0), np.array(equations.xhat0_std)
+    return Setting(system, linear, tuning, equations.lipschitz, *start)
 
 
 def ekf_scores(data: Record, order: int, plan: Plan) -> Scores:
@@ -312,7 +313,7 @@ def ekf_scores(data: Record, order: int, plan: Plan) -> Scores:
     prior = np.concatenate([case.x_std, D0 * pace ** np.arange(order)])
     scores: Scores = {}
     for sigma in plan.noises:
-        known = case.same_knowledge(order, sigma, data.signal).known
+        known = case.known(order, sigma, data.signal)
 
         def intensity(bandwidth: float, known: Any = known) -> float:
             return float(at_bandwidth(augmented, data.H, bandwidth, known).disturbance[0])

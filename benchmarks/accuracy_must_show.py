@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from benchmarks.accuracy_cells import D0, MODEL, SIGNALS, Plan, Record, in_parallel, observed, record, score, setting
 from ndob_fmu import build, load_model
+from ndob_fmu.runtime.design.augmented import augment
 from ndob_fmu.runtime.design.stationary_design import StationaryDesign, stationary_design
 from ndob_fmu.runtime.design.tuning import at_bandwidth
 
@@ -103,11 +104,11 @@ def least_error(H: float, sigma: float, order: int) -> float:
 
     From the linear error dynamics, ξ̃⁺ = F ξ̃ + (I − K C) w with w the disturbance's share over a step.
     """
-    observer = setting().same_knowledge(order, sigma, SINE_1)
+    known, system = setting().known(order, sigma, SINE_1), augment(setting().linear, order)
 
     def error(bandwidth: float) -> float:
-        intensities = at_bandwidth(observer.system, H, bandwidth, observer.known)
-        design = stationary_design(observer.system, H, observer.known.R_factor, intensities, 1.0)
+        intensities = at_bandwidth(system, H, bandwidth, known)
+        design = stationary_design(system, H, known.R_factor, intensities, 1.0)
         return bias_amplitude(design, SINE_1.frequency) + float(design.noise_std()[0])
 
     # The least over a grid of which neighbours differ by 6 % in bandwidth is within 0.5 % of the least of all.

@@ -73,7 +73,8 @@ def settling(seeds: Seeds, H: float, once: str) -> list[Figure]:
     used = float(np.mean(found["valid"]))
     return [
         Figure(f"{text}: until the error stays within a tenth, s", 0.04, settled, once),
-        Figure(f"{text}: share of the samples with `valid` true", 1.0, used, at_least=True),
+        # The first sample after the step cannot be told from an outlier.
+        Figure(f"{text}: share of the samples with `valid` true", 0.98, used, at_least=True),
     ]
 
 

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from pythonfmu.enums import Fmi2Status
 
 from benchmarks.estimator.plants import Array, Plant
 from benchmarks.estimator.records import Record
@@ -30,7 +31,7 @@ class RefusedError(Exception):
 
 
 class _Quiet(Slave):
-    """A slave in this process, whose log is kept."""
+    """A slave in this process; what it logs is kept, but for warnings."""
 
     messages: list[str]
 
@@ -38,8 +39,9 @@ class _Quiet(Slave):
         self.messages = []
         super().__init__(equations, instance_name="benchmark", resources="")  # type: ignore[arg-type]
 
-    def log(self, msg: str, status: Any) -> None:
-        self.messages.append(msg)
+    def log(self, msg: str, status: Fmi2Status) -> None:
+        if status not in (Fmi2Status.ok, Fmi2Status.warning):
+            self.messages.append(msg)
 
     def begin(self, values: dict[str, Any]) -> None:
         """Set parameters and inputs and go through the initialization."""

@@ -30,7 +30,7 @@ ESTIMATORS = {
     "ours": "ours",
     "EKF": "EKF, its best",
     "EKF, same": "EKF, same intensity",
-    "UKF": "UKF, same intensity",
+    "UKF": "UKF",
     "ESO": "linear ESO, best",
     "differentiator": "differentiator, best",
 }
@@ -173,7 +173,7 @@ Root mean square of d̂(t_k | y_k) − d(t_k) in units of D₀ over {count} reco
 - **ours** is the observer FMU's code, run in the process of the benchmark, with σ, D₀ and the rate as parameters.
 - **EKF, its best** has the intensity with the least error for a sine of 1 Hz and amplitude D₀, the largest of the
   declared class, on records of its own. **EKF, same intensity** has the one of ours.
-- **UKF**: 2 N sigma points, the intensity of ours.
+- **UKF**: 2 N sigma points, the intensity of ours; for the arm, of which ours estimates the torques, the EKF's best.
 - **linear ESO** and **differentiator** (Levant's, of second order) work on the equation of motion that d acts in. The
   bandwidth and the bound of the third derivative are the best of a scan in each cell, on the very record.
 - **within 2·std**: share of the predictions d̂(t_k + H | y_k) whose error is below two error bars. 95 % is what a
