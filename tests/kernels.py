@@ -31,6 +31,7 @@ NUMERICAL = [
             "stationary_design",
             "tuning",
             "intensity_law",
+            "tracking_design",
             "riccati",
             "minimum_phase",
             "exponential",

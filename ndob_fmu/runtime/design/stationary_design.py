@@ -209,7 +209,8 @@ class Whitened:
 
 def _whitened(system: Augmented, discrete: Discrete, sample_factor: Array, prior_factor: Array) -> Whitened:
     T = whitening(prior_factor)
-    seen = np.linalg.solve(sample_factor, system.C @ T)
+    driven = np.any(prior_factor, axis=1)  # the gain corrects no other state, although it may be seen
+    seen = np.linalg.solve(sample_factor, system.C @ T) * driven
     p, N = seen.shape
     after = triangular(np.block([[np.eye(p), seen], [np.zeros((N, p)), np.eye(N)]]))[p:, p:]
     selector = np.zeros((0, N)) if system.selector is None else system.selector

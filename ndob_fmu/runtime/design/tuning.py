@@ -142,15 +142,19 @@ def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge
     return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
 
 
+def f_intensity(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> float:
+    """Return the intensity on the channel of f beside those on the disturbances (q_d,), for r ≥ 1."""
+    like_disturbance = float(np.max(disturbance)) / min(bandwidth, 1.0 / H) ** (2 * system.order)
+    by_noise = (_F_ERROR_IN_SIGMA * known.lipschitz * float(np.min(np.diag(known.R_factor)))) ** 2 * H
+    return max(like_disturbance, by_noise)
+
+
 def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> Intensities:
     """Add the intensity of f's channel; for r = 0 that channel is one of the disturbance's."""
-    largest = float(np.max(disturbance))
     if system.order == 0:
         q_f = system.linear.G.shape[1] - len(disturbance)
-        return Intensities(disturbance=np.concatenate([np.full(q_f, largest), disturbance]), f=0.0)
-    like_disturbance = largest / min(bandwidth, 1.0 / H) ** (2 * system.order)
-    by_noise = (_F_ERROR_IN_SIGMA * known.lipschitz * float(np.min(np.diag(known.R_factor)))) ** 2 * H
-    return Intensities(disturbance=disturbance, f=max(like_disturbance, by_noise))
+        return Intensities(disturbance=np.concatenate([np.full(q_f, np.max(disturbance)), disturbance]), f=0.0)
+    return Intensities(disturbance=disturbance, f=f_intensity(system, H, disturbance, bandwidth, known))
 
 
 def steady_std(design: StationaryDesign, rate: Array) -> Array:

@@ -95,7 +95,8 @@ def _limit(Phi: Array, C: Array, noise_factor: Array, factor: Array) -> Array:
         z_factor = _doubled(forward(T, Phi @ T), C @ T, forward(T, noise_factor))
         factor = triangular(T @ z_factor)
         sizes = np.abs(np.diag(z_factor))
-        if np.all((sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)):
+        same = (sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)
+        if np.all(same | ~np.any(z_factor, axis=1)):  # a state that no noise reaches has no size
             break
     return factor
 
@@ -131,11 +132,12 @@ def _doubled(Phi: Array, C: Array, noise_factor: Array) -> Array:
 
 def whitening(factor: Array) -> Array:
     """Return T (N,N), lower triangular, of ξ = T z: z has the covariance I, except for states that no noise reaches."""
-    T = triangular(factor)
-    sizes = np.abs(np.diag(T))
-    norms = np.linalg.norm(T, axis=1)
-    sizes = np.where(norms > 0.0, np.maximum(sizes, np.finfo(float).eps * norms), 1.0)
-    np.fill_diagonal(T, np.copysign(sizes, np.diag(T)))
+    driven = np.flatnonzero(np.any(factor, axis=1))
+    lower = triangular(factor[driven])
+    sizes = np.maximum(np.abs(np.diag(lower)), np.finfo(float).eps * np.linalg.norm(lower, axis=1))
+    np.fill_diagonal(lower, np.copysign(sizes, np.diag(lower)))
+    T = np.eye(len(factor))
+    T[np.ix_(driven, driven)] = lower
     return T
 
 
