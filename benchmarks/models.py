@@ -41,3 +41,22 @@ def carts(count: int) -> Model:
         lipschitz=5.0,
         disturbance_bound=5.0,
     )
+
+
+def lagged_motor(time_constant: float) -> Model:
+    """Return a motor with dry friction behind a drive that lags by the given time constant (s), m = p = 1, n = 3."""
+    return Model(
+        name="LaggedMotor",
+        states=["angle", "rate", "torque"],
+        inputs=["command"],
+        outputs=["angle"],
+        disturbances=["load"],
+        parameters={"lag": time_constant, "friction": 2.0},
+        A=[[0, 1, 0], [-20, 0, 1], [0, 0, -1 / sympy.Symbol("lag")]],
+        B=[[0], [0], [1 / sympy.Symbol("lag")]],
+        C=[[1, 0, 0]],
+        G_d=[[0], [1], [0]],
+        f=lambda x, u, p: [-p.friction * sympy.tanh(x.rate)],
+        lipschitz=2.0,
+        disturbance_bound=5.0,
+    )
