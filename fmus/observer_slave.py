@@ -14,10 +14,17 @@ from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.numerics.hold import History
 from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
+from ndob_fmu.runtime.step.filter_state import (
+    FilterMemory,
+    JumpBank,
+    LagMemory,
+    SampledObserverState,
+    SensorMemory,
+)
 from ndob_fmu.runtime.step.observer import Estimate, Observer
 from ndob_fmu.runtime.step.paper_observer import PaperObserver, PaperObserverState, paper_observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
-from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, SampledObserverState
+from ndob_fmu.runtime.step.settings import observer_settings
 
 # Takes state, inputs with outputs, and the step size; returns the state and the slave's outputs, or None.
 _QuickStep = Callable[[Any, Sequence[float], float], tuple[Any, Sequence[Any], Any] | None]
@@ -26,7 +33,16 @@ _QuickStep = Callable[[Any, Sequence[float], float], tuple[Any, Sequence[Any], A
 class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
-    state_types = (SampledObserverState, CovarianceState, PaperObserverState, History, ChannelState)
+    state_types = (
+        SampledObserverState,
+        FilterMemory,
+        JumpBank,
+        SensorMemory,
+        LagMemory,
+        PaperObserverState,
+        History,
+        ChannelState,
+    )
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
         self.equations = equations
@@ -96,18 +112,18 @@ class ObserverSlave(Slave):
     def _sampled(self) -> SampledObserver:
         order = self.value("disturbance_order")
         bound, rate = (self._for_disturbances(name) for name in ("disturbance_bound", "disturbance_rate"))
-        return sampled_observer(
-            lumped(self.equations),
-            self.values(self.equations.parameters),
+        equations = lumped(self.equations)
+        settings = observer_settings(
+            equations,
             order=order,
             noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, bound),
             disturbance_rate=lumped_rate(self.equations, bound, rate, order=order),
-            x_hat=self._for_states("hat_start"),
             x_std=self._for_states("hat_start_std"),
             alpha=self.value("alpha"),
             pi=self.value("pi_end"),
         )
+        return sampled_observer(equations, self.values(equations.parameters), settings, self._for_states("hat_start"))
 
     def _for_states(self, suffix: str) -> list[float]:
         return self.values(f"{name}_{suffix}" for name in self.equations.states)
@@ -125,7 +141,10 @@ def _outputs(estimate: Estimate) -> list[Any]:
         *estimate.d_hat,
         *estimate.d_at_sample,
         *estimate.d_std,
+        *estimate.d_lagged,
+        *estimate.d_lagged_std,
         *estimate.residual,
         *estimate.residual_std,
         estimate.valid,
+        estimate.consistency,
     ]

@@ -33,6 +33,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from ndob_fmu.runtime.step.settings import observer_settings
 from ndob_fmu.support.files import atomic_path
 
 STOP_TIME = 20.0
@@ -124,18 +125,7 @@ def observers() -> tuple[Any, Any]:
         noise_std=eq.noise_std,
         disturbance_bound=eq.disturbance_bound,
     )
-    sampled = sampled_observer(
-        eq,
-        parameters,
-        order=tuning.disturbance_order,
-        noise_std=eq.noise_std,
-        disturbance_bound=eq.disturbance_bound,
-        disturbance_rate=eq.disturbance_rate,
-        x_hat=eq.xhat0,
-        x_std=eq.xhat0_std,
-        alpha=tuning.alpha,
-        pi=tuning.pi_end,
-    )
+    sampled = sampled_observer(eq, parameters, observer_settings(eq), eq.xhat0)
     return paper, sampled
 
 

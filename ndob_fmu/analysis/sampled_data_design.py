@@ -17,6 +17,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error, steady_std
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
+from ndob_fmu.runtime.step.settings import observer_settings
 
 # Below this ratio of noise to bias in the predicted error, the step limits the accuracy and not the noise.
 _STEP_LIMITS = 0.1
@@ -130,14 +131,16 @@ def sampled_data_design(
         return sampled_observer(
             equations,
             model.parameter_values(parameters),
-            order=order,
-            noise_std=noise_std,
-            disturbance_bound=disturbance_bound,
-            disturbance_rate=rate,
-            x_hat=equations.xhat0,
-            x_std=equations.xhat0_std,
-            alpha=continuous.alpha,
-            pi=continuous.pi,
+            observer_settings(
+                equations,
+                order=order,
+                noise_std=noise_std,
+                disturbance_bound=disturbance_bound,
+                disturbance_rate=rate,
+                alpha=continuous.alpha,
+                pi=continuous.pi,
+            ),
+            equations.xhat0,
         )
 
     observer = observer_for(disturbance_rate)

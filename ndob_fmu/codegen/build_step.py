@@ -46,6 +46,7 @@ from ndob_fmu.codegen.straight_line import (
 )
 from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
+from ndob_fmu.runtime.generated_steps import MEMORY
 from ndob_fmu.runtime.numerics.integrate import ABSOLUTE_TOLERANCE, NODES
 
 Symbols = Sequence[sympy.Symbol]
@@ -67,7 +68,7 @@ def build_steps(field: VectorField) -> tuple[Function, ...]:
         _constants("observer_constants", of_observer, p),
         Function(
             "observer_step",
-            (*_arrays("_xi", "_inputs", "_k"), Argument("_gain", "ConvergedGain"), _number(H)),
+            (*_arrays("_xi", "_inputs", "_squares", "_k"), Argument("_gain", "ConvergedGain"), _number(H)),
             _observer_step(of_observer, u, p),
         ),
     )
@@ -131,9 +132,12 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
     """Correct by a sample inside the gate with the converged gain, then predict to the end of the step."""
     outputs, q = len(rhs.outputs), len(rhs.d)
     delta = symbols("q", HIGHEST_ORDER * q)
-    gate, d_std, residual_std, gain, y = (
+    gate, weight, squares, d_std, at_std, residual_std, gain, y = (
         symbols("z", outputs),
+        symbols("weight", outputs),
+        symbols("square", outputs),
         symbols("s", q),
+        symbols("at_std", q),
         symbols("v", outputs),
         symbols("K", (len(rhs.x) + len(delta)) * outputs),
         symbols("y", outputs),
@@ -148,13 +152,20 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
         *_unpacked_constants(rhs, p),
         *_unpacked([*rhs.x, *delta], "_xi"),
         *_unpacked([*u, *y], "_inputs"),
+        Unpack(squares, "_squares"),
         Unpack(gate, "_gain", "gate"),
+        Unpack(weight, "_gain", "weight"),
         Unpack(d_std, "_gain", "d_std"),
+        Unpack(at_std, "_gain", "at_sample_std"),
         Unpack(residual_std, "_gain", "residual_std"),
         Unpack(gain, "_gain", "K"),
         *assignments(update.innovations),
         If(Not(inside_gate), (Fail(),)),
         *(If(Not(Within(-LARGEST, symbol, LARGEST)), (Fail(),)) for symbol in u),
+        *assignments(
+            (average, average + sympy.Float(1.0 / MEMORY) * (error * error * share - average))
+            for average, error, share in zip(squares, e, weight, strict=True)
+        ),
         *assignments(update.corrected),
         Keep("_at", (*rhs.x, *delta)),
         *assignments(zip(d_at, d_1, strict=True)),
@@ -169,7 +180,15 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
                     ("d_hat", tuple(d_hat)),
                     ("innovation", e),
                     ("u", tuple(u)),
-                    ("outputs", (*x_hat, *d_hat, *d_at, *d_std, *e, *residual_std, sympy.true)),
+                    ("sample", tuple(y)),
+                    ("squares", tuple(squares)),
+                    (
+                        "outputs",
+                        (
+                            *(*x_hat, *d_hat, *d_at, *d_std, *d_at, *at_std, *e, *residual_std, sympy.true),
+                            sympy.Add(*squares) * sympy.Float(1.0 / outputs),
+                        ),
+                    ),
                 ),
             )
         ),

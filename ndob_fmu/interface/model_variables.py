@@ -40,8 +40,12 @@ def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: 
     """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them."""
     derived = {f"{s}{suffix}" for s in states for suffix in ("_hat", "_start", "_hat_start", "_hat_start_std")}
     derived |= {f"{output}{suffix}" for output in outputs for suffix in _PER_OUTPUT}
-    derived |= {f"{d}{suffix}" for d in disturbances for suffix in ("_hat", "_at_sample", "_std", "_total")}
-    return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "disturbance"}
+    derived |= {
+        f"{d}{suffix}"
+        for d in disturbances
+        for suffix in ("_hat", "_at_sample", "_std", "_lagged", "_lagged_std", "_total")
+    }
+    return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "consistency", "disturbance"}
 
 
 def for_each_disturbance(name: str, disturbances: tuple[str, ...]) -> dict[str, str]:
@@ -78,9 +82,11 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         ("hat", "Estimate of {} for the end of the step", eq.outputs),
         ("at_sample", "Estimate of {} for the sample that the step began with", eq.outputs),
         ("std", "One-sigma error bar of {}_hat", ()),
+        ("lagged", "Estimate of {} for lag before the sample", eq.outputs),
+        ("lagged_std", "One-sigma error bar of {}_lagged", ()),
     ):
         outputs += [
-            _output(eq, f"{d}_{suffix}", d, text.format(d), depends_on, bound, 0.0 if suffix == "std" else None)
+            _output(eq, f"{d}_{suffix}", d, text.format(d), depends_on, bound, 0.0 if suffix.endswith("std") else None)
             for d, bound in zip(eq.disturbances, eq.disturbance_bound, strict=True)
         ]
     outputs += [
@@ -105,6 +111,15 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
             description="False while the estimate coasts because a sample could not be used"
             + (f", or {eq.disturbances[0]} because its direction vanishes" if eq.channel else ""),
             depends_on=eq.outputs,
+        )
+    )
+    outputs.append(
+        Variable(
+            name="consistency",
+            causality="output",
+            description="Moving average of the squared residuals over their expectation: 1 where model, noise and pace "
+            "of the disturbance are as told, more where one of them is worse",
+            minimum=0.0,
         )
     )
     starts = [

@@ -16,7 +16,7 @@ import sympy
 
 from ndob_fmu import Model, NdobError, check, design
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.observers import sampled_observer
 
 ROLES = ("states", "inputs", "outputs", "disturbances", "parameters")
 FMU_NAMES = {"time", "valid", "method", "alpha", "disturbance"}

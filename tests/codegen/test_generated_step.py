@@ -10,6 +10,7 @@ import pytest
 import sympy
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from ndob_fmu.runtime.step.gate import gate
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit import emit_python
@@ -18,8 +19,7 @@ from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.lumping import lumped
-from ndob_fmu.runtime.step.gate import gate
-from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS, RANDOM, to_model
 
 WITHIN = 1e-13

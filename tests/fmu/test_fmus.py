@@ -22,7 +22,7 @@ from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.gains import orthogonal_factor
 from ndob_fmu.runtime.design.schedule import PiSchedule, gain_table
 from ndob_fmu.runtime.step.paper_observer import paper_observer
-from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
 
 STATES = ("link_angle", "link_rate", "motor_angle", "motor_rate")

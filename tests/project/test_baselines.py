@@ -20,7 +20,7 @@ from benchmarks.accuracy_page import compare
 from benchmarks.baselines import extended_kalman_filter, extended_state_observer, linear_system, second_difference
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.design.tuning import tuned_intensities
-from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import system_with_zeros, to_model
 
 ROOT = Path(__file__).parents[2]

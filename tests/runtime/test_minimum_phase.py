@@ -10,7 +10,7 @@ from ndob_fmu.errors import AssumptionError, DesignError
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.step.paper_observer import paper_observer
-from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import BAD, MODELS, RANDOM, to_model
 
 MOTOR = MODELS["dc_motor"]

@@ -24,7 +24,7 @@ from ndob_fmu.runtime.numerics.zeros import balance, pencil_zeros
 from ndob_fmu.runtime.step.channel_observer import VANISHING, read_out
 from ndob_fmu.runtime.step.observer import Estimate
 from ndob_fmu.runtime.step.paper_observer import paper_observer
-from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
 
 JOINT = linear_part(MODELS["flexible_joint"])

@@ -1,11 +1,12 @@
 """The noise intensities of the design, from what users know: the noise of the samples and the rate of the disturbance.
 
 Users know the noise σ of a sample and a bound D of the disturbance's r-th derivative (of the first, for r = 0). A fast
-observer follows the disturbance but passes the noise, a slow one the reverse. The design minimises the sum of both,
+observer follows the disturbance but passes the noise, a slow one the reverse. The design minimises the mean square,
 
-    J(s) = Σ_i (|E_i(s)| D + std_i(s)) / D₀ᵢ,
+    J(s) = Σ_i (|E_i(s)|² D²/3 + std_i(s)²) / D₀ᵢ²,
 
-where |E| D is the error that a constant r-th derivative causes, and std the noise of d̂. Experts may set instead
+where |E| D is the error that a constant r-th derivative causes, whose square is a third of that on average where the
+derivative may be anything within its bounds, and std the noise of d̂. Experts may set instead
 π = s / (σ² H), the ratio of the intensities of disturbance and measurement noise in continuous time, eq. (8).
 """
 
@@ -31,7 +32,7 @@ _SLOWEST = 1e-4
 _FASTEST = 1e6
 _SCAN = 10
 # Where the logarithm of the cost is nearly flat, a bandwidth lower by a factor e may cost this part more.
-_SLOWER = 1e-4
+_SLOWER = 1e-2
 _PARABOLAS = 3
 _CLOSER = 0.4  # the distance of the costs for a parabola, over that of those before
 
@@ -69,7 +70,7 @@ class PredictedErrors:
     """The two parts of J over the bandwidth, at the step H (s). It makes each design once.
 
     ν times the noise and ν² times the intensities leave a gain as it is. So J for any noise follows from the same two
-    parts, bias + ν noise, at the same bandwidths.
+    parts, bias² + ν² noise², at the same bandwidths.
     """
 
     def __init__(self, system: Augmented, H: float, alpha: float, known: Knowledge) -> None:
@@ -83,7 +84,7 @@ class PredictedErrors:
 
         def cost(log_bandwidth: float) -> float:
             bias, noise = self.at(log_bandwidth)
-            total = bias + noise_scale * noise
+            total = bias + noise_scale**2 * noise
             return float(np.log(total)) if np.isfinite(total) else np.inf
 
         H = self._discrete.H
@@ -91,7 +92,7 @@ class PredictedErrors:
         return float(np.exp(_minimise(cost, np.log(_SLOWEST / H), np.log(fastest))))
 
     def at(self, log_bandwidth: float) -> tuple[float, float]:
-        """Return Σ |E| D / D₀ and Σ std / D₀, infinite where there is no design."""
+        """Return Σ |E|² D²/3 / D₀² and Σ std² / D₀², infinite where there is no design."""
         if log_bandwidth not in self._parts:
             self._parts[log_bandwidth] = self._predicted(log_bandwidth)
         return self._parts[log_bandwidth]
@@ -106,9 +107,7 @@ class PredictedErrors:
         except DesignError:  # at the far ends of the range; where every design fails, the final one raises
             return np.inf, np.inf
         self._designs[log_bandwidth] = design
-        with np.errstate(all="ignore"):
-            bias, noise = predicted_error(design, known.disturbance_rate)
-            return float(np.sum(bias / known.disturbance_bound)), float(np.sum(noise / known.disturbance_bound))
+        return squared_errors(design, known)
 
 
 def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
@@ -178,6 +177,13 @@ def steady_residual_std(design: StationaryDesign, source_bound: Array) -> Array:
 def sine_rate(bound: float, order: int) -> float:
     """Return the bound of the r-th derivative (the first, for r = 0) of a sine of 1 Hz with amplitude `bound`."""
     return float(bound * (2.0 * np.pi) ** max(order, 1))
+
+
+def squared_errors(design: StationaryDesign, known: Knowledge) -> tuple[float, float]:
+    """Return the two parts of J, from the bias and from the noise."""
+    with np.errstate(all="ignore"):
+        bias, noise = (part / known.disturbance_bound for part in predicted_error(design, known.disturbance_rate))
+        return float(np.sum(bias**2)) / 3.0, float(np.sum(noise**2))
 
 
 def predicted_error(design: StationaryDesign, rate: Array) -> tuple[Array, Array]:

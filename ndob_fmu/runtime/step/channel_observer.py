@@ -96,8 +96,14 @@ class ChannelObserver(Generic[S]):
         w_std = np.array(lumped.d_std)
         sigma = np.maximum(w_std, _SMALLEST_SHARE * (np.max(w_std) or 1.0))
         d_at_sample, d_hat, d_std = held, held, numbers(self.disturbance_bound)
+        d_lagged, d_lagged_std = held, d_std
         if at_sample is not None:
             d_at_sample = d_hat = _least_squares(at_sample / sigma, lumped.d_at_sample / sigma)
+            # A direction turns little within a lag.
+            d_lagged = _least_squares(at_sample / sigma, lumped.d_lagged / sigma)
+            d_lagged_std = (
+                float(1.0 / np.linalg.norm(at_sample / np.maximum(lumped.d_lagged_std, _SMALLEST_SHARE * sigma))),
+            )
         if ahead is not None:
             d_hat = _least_squares(ahead / sigma, lumped.d_hat / sigma)
             d_std = (float(1.0 / np.linalg.norm(ahead / sigma)),)
@@ -106,6 +112,8 @@ class ChannelObserver(Generic[S]):
             d_hat=d_hat,
             d_at_sample=d_at_sample,
             d_std=d_std,
+            d_lagged=d_lagged,
+            d_lagged_std=d_lagged_std,
             valid=lumped.valid and at_sample is not None and ahead is not None,
         )
 

@@ -1,54 +1,50 @@
-"""The fast path: a step with a converged gain and a sample inside the gate, in generated scalar code."""
+"""The fast path: a step with a frozen gain and a sample that is not suspicious, in generated scalar code."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ndob_fmu.runtime.design.start_up import StartUp
-from ndob_fmu.runtime.design.step_designs import StepDesign
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.step_designs import StepDesign, squared_norms
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers, ObserverStepFunction
-from ndob_fmu.runtime.step.error_bars import disturbance_std, residual_std
-from ndob_fmu.runtime.step.gate import gate
+from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.filter_state import FilterMemory
+from ndob_fmu.runtime.step.jump_bank import LENGTH, full_bank
+from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import numbers
-from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState
+
+# The gain is frozen once no standard deviation exceeds the converged one by this part: where the plant is linear, and
+# where its slopes, and with them the covariance, keep moving.
+_LINEAR, _NONLINEAR = 1e-7, 0.02
+# Moving averages of the squared innovations, over their variance, with which a gain is and stays frozen.
+_LEAST_SQUARES, _MOST_SQUARES = 0.05, 2.0
 
 
 @dataclass(frozen=True)
 class ConvergedStep:
-    """What all steps of one length H (s) have in common once the gain has converged.
+    """What all steps of one length H (s) have in common once the gain is frozen.
 
-    observer_step, constants, gain: the generated step, and what it takes besides the state, inputs and H.
-    M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1.
-    covariance: the converged one.
+    tuned_at: the step that the intensities are tuned for (s)
+    design: of the gain
+    observer_step, constants, gain: the generated step, and what it takes besides the state, inputs and H
+    M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1
     """
 
     H: float
+    tuned_at: float
+    design: StepDesign = field(repr=False)
     observer_step: ObserverStepFunction = field(repr=False)
     constants: Numbers = field(repr=False)
     gain: ConvergedGain = field(repr=False)
     M_H: tuple[Numbers, ...] | None
-    covariance: CovarianceState
-
-
-def converged_covariance(design: StepDesign, tuned_at: float, start: StartUp) -> CovarianceState:
-    """Return the state of the covariance once the gain of a design has converged."""
-    factor = design.stationary.prior_factor
-    return CovarianceState(
-        factor=factor,
-        d_std=numbers(disturbance_std(factor, design)),
-        converged=True,
-        tuned_at=tuned_at,
-        waited=0.0,
-        rejected=0,
-        age=start.samples,
-    )
 
 
 def converged_step(
-    equations: Equations, parameters: Vector, design: StepDesign, covariance: CovarianceState
+    equations: Equations, parameters: Vector, design: StepDesign, tuned_at: float
 ) -> ConvergedStep | None:
     """Return the fast path of a design; None where the generated code cannot be evaluated at the parameters."""
     try:
@@ -59,15 +55,81 @@ def converged_step(
     n, q = stationary.system.linear.G_d.shape
     missing = n + HIGHEST_ORDER * q - len(stationary.K)
     K = np.vstack([stationary.K, np.zeros((missing, stationary.K.shape[1]))])
-    largest = gate(stationary.update.innovation_factor, design)
-    expected = residual_std(stationary.prior_factor, design)
+    expected = residual_std(design)
+    ahead, at_sample = disturbance_std(design)
     return ConvergedStep(
         H=design.H,
+        tuned_at=tuned_at,
+        design=design,
         observer_step=equations.steps.observer_step,
         constants=constants,
         gain=ConvergedGain(
-            gate=numbers(largest), d_std=covariance.d_std, residual_std=numbers(expected), K=numbers(K.ravel())
+            gate=numbers(SUSPICIOUS * expected),
+            weight=numbers(1.0 / expected**2),
+            d_std=numbers(ahead),
+            at_sample_std=numbers(at_sample),
+            residual_std=numbers(expected),
+            K=numbers(K.ravel()),
         ),
         M_H=None if stationary.M_H is None else tuple(map(tuple, stationary.M_H.tolist())),
-        covariance=covariance,
+    )
+
+
+def residual_std(design: StepDesign) -> Array:
+    """Return the standard deviation (p,) of a residual with the frozen gain."""
+    return np.asarray(
+        np.minimum(np.linalg.norm(design.stationary.update.innovation_factor, axis=1), design.residual_std)
+    )
+
+
+def disturbance_std(design: StepDesign) -> tuple[Array, Array]:
+    """Return the error bars (q2,) of d̂ with the frozen gain, a step ahead and at the sample."""
+    stationary, bound = design.stationary, design.known.disturbance_bound
+    selector = stationary.system.selector
+    if selector is None:
+        steady = np.minimum(design.disturbance_std, bound)
+        return steady, steady
+    ahead = np.linalg.norm(selector @ stationary.prior_factor, axis=1)
+    at_sample = np.linalg.norm(selector @ stationary.update.factor, axis=1)
+    # The white noise that stands for the disturbance counts for more than a disturbance within its bounds can do.
+    share = np.minimum(design.disturbance_std / ahead, 1.0)
+    return np.minimum(share * ahead, bound), np.minimum(share * at_sample, bound)
+
+
+def squares_are_usual(squares: Numbers) -> bool:
+    """Return whether innovations are as large as with the frozen gain they should be."""
+    return min(squares) >= _LEAST_SQUARES and max(squares) <= _MOST_SQUARES
+
+
+def has_converged(
+    model: FilterModel, memory: FilterMemory, measured: Measured, squares: Numbers, design: StepDesign
+) -> bool:
+    """Return whether the gain of a design may replace that of the covariance, after a step."""
+    bank = memory.jumps
+    quiet = not measured.suspicious and not measured.mixture.shift.any() and bool(np.all(measured.used))
+    if not (quiet and squares_are_usual(squares)) or (np.max(np.abs(bank.evidence), initial=0.0) > 0.0 and not quiet):
+        return False
+    stationary = design.stationary
+    rows = stationary.system.C
+    if stationary.system.selector is not None:
+        rows = np.vstack([rows, stationary.system.selector])
+    tolerance = _NONLINEAR if model.equations.f_states else _LINEAR
+    now, frozen = (squared_norms(rows @ factor) for factor in (memory.factor, stationary.prior_factor))
+    return bool(np.all(now <= frozen * (1.0 + tolerance) ** 2))
+
+
+def frozen_memory(model: FilterModel, memory: FilterMemory, design: StepDesign) -> FilterMemory:
+    """Return the memory that stays the same while the gain is frozen."""
+    stationary = design.stationary
+    spacing = max(1, round(model.jump_spacing / design.H))
+    signatures = []
+    mu = model.newest_jump
+    for age in range(LENGTH * spacing + 1):
+        mu = stationary.discrete.Phi @ mu
+        if age % spacing == 0:
+            signatures.append(mu)
+        mu = mu - stationary.K @ (stationary.system.C @ mu)
+    bank = full_bank(signatures[LENGTH - 1 :: -1] if len(signatures) >= LENGTH else signatures[::-1])
+    return replace(
+        memory, factor=stationary.prior_factor, jumps=bank if stationary.system.order else memory.jumps, converged=True
     )

@@ -1,124 +1,388 @@
-"""The measurement update: ξ̂ = ξ̂⁻ + K e with the innovation e = y − C ξ̂⁻, where the gate lets the sample through."""
+"""The measurement update: one output at a time, behind the judgement of its sample.
+
+    α = c P cᵀ + R,   K = P cᵀ/α,   ξ̂ += K e,   S ← [S − K (c S), K √R]        with P = S Sᵀ
+
+That is Joseph's form on a factor S. It holds for any gain K, so that the rows of K for parameters which are considered,
+but not estimated, may be zero (Schmidt, 1966). An entry that is not finite was not measured.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.start_up import StartUp
-from ndob_fmu.runtime.design.stationary_design import StationaryDesign
-from ndob_fmu.runtime.design.step_designs import StepDesign
-from ndob_fmu.runtime.numerics.kalman import Update, gain_change, update
-from ndob_fmu.runtime.step.gate import accepted_unjudged, judge
-from ndob_fmu.runtime.step.sampled_observer_state import SampledObserverState
+from ndob_fmu.runtime.equations import Vector
+from ndob_fmu.runtime.generated_steps import MEMORY, Numbers
+from ndob_fmu.runtime.step import adaptive_noise
+from ndob_fmu.runtime.step.delayed_outputs import row_in_past
+from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
+from ndob_fmu.runtime.step.fixed_lag import empty_lag, smoothed
+from ndob_fmu.runtime.step.jump_bank import Mixture, accept, empty_bank, gain, mixture
 
-_CONVERGED = 1e-7  # largest change of a correction K e, in standard deviations of the state that it corrects
+# After refused samples of this improbability, in nats, the estimate is wrong, not the samples.
+_HOPELESS = 40.0
+_DEBT_LEFT = 0.5
+_MOST_DEBT = 10.0  # of one sample
+# The square of a mean over the mean of the squares: 1 for equal numbers.
+_ONE_SIGN = 0.5
+_PATIENCE = 10.0
+_LOST = 5.0
+# Innovations tell of the noise where it makes more than this part of their variance.
+_CLEAR = 6.0
+# Normalised innovations are averaged over so many samples. Where their mean exceeds the limit, the estimate is biased,
+# and they do not tell of the noise.
+_LATEST = 10.0
+_BIASED = 1.0
+_WRONG = 2.5
+_LIMIT = 4.0
+_LEAST_GROWTH = 4.0
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A sample against its prediction.
+class Measured:
+    """The estimate at a sample.
 
-    innovation (p,): y − C ξ̂⁻; 0 where the sample is not finite.
-    finite: whether the sample is.
+    xi (N + past,): ξ̂, without the mixture's shift.
+    factor (N + past,·): of its covariance.
+    jumps, sensors, lagged: as in `FilterMemory`.
+    mixture: what the hypotheses of a jump add.
+    innovation, innovation_std (p,): y − ŷ before the sample was used, 0 where nothing was measured; and what it is
+    expected to have.
+    sample, squares (p,): as in `SampledObserverState`.
+    used (p,): whether the sample of an output was.
+    suspicious: whether a sample was far from its prediction.
     """
 
-    innovation: Array
-    finite: bool
-
-
-@dataclass(frozen=True)
-class Corrected:
-    """The estimate at a sample, after it was used or left out.
-
-    xi_hat (N,) and d_hat (q2,): ξ̂ and d̂.
-    factor (N,N): of the covariance of ξ̂.
-    used: whether the sample was; otherwise the step coasts.
-    valid: whether the estimate is shown as valid.
-    converged: whether the gain is frozen from now on.
-    innovation (p,): as in `Verdict`.
-    rejected: as in `Verdict`.
-    age: samples since the start, before this one.
-    next_age: the same, this one included.
-    """
-
-    xi_hat: Array
-    d_hat: Array
+    xi: Array
     factor: Array
-    used: bool
-    valid: bool
-    converged: bool
+    jumps: JumpBank
+    sensors: SensorMemory
+    lagged: LagMemory
+    mixture: Mixture
     innovation: Array
-    rejected: int
-    age: int
-    next_age: int
+    innovation_std: Array
+    sample: Numbers
+    squares: Numbers
+    used: NDArray[np.bool_]
+    suspicious: bool
 
 
-def correct(
-    state: SampledObserverState, xi_hat: Array, sample: Sample, design: StepDesign, start: StartUp, H: float
-) -> Corrected:
-    """Correct ξ̂⁻ (N,) of a state with a sample at the start of a step H (s)."""
-    before, stationary = state.covariance, design.stationary
-    C = stationary.system.C
-    measured = stationary.update if before.converged else update(before.factor, C, stationary.sample_factor)
-    if before.converged or before.rejected:
-        last = np.abs(state.innovation)
-        S_factor = measured.innovation_factor
-        verdict = judge(sample.innovation, last, before.rejected, S_factor, design, finite=sample.finite)
-    else:
-        verdict = accepted_unjudged(sample.innovation, finite=sample.finite)
-    age = before.age
-    if verdict.restart:
-        measured, age = update(start.factor, C, stationary.sample_factor), 0
-    factor, d_hat = before.factor, np.array(state.d_hat)
-    if verdict.used:
-        xi_hat, factor = xi_hat + measured.K @ sample.innovation, measured.factor
-        d_hat = _disturbance(xi_hat, sample.innovation, measured, stationary)
-    may_converge = verdict.used and age >= start.samples and design.H == H
-    return Corrected(
-        xi_hat=xi_hat,
-        d_hat=d_hat,
+def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: FilterMemory, y: Vector) -> Measured:
+    """Update ξ̂⁻ (N + past,) and its covariance with a sample y (p,)."""
+    p, sensors, told, u = len(y), memory.sensors, model.noise_variance, state.u
+    rows = _rows(model, xi, memory, u)
+    predicted = _predicted(model, xi, u, rows)
+    e = [y[i] - predicted[i] if isfinite(y[i]) and rows[i] is not None else 0.0 for i in range(p)]
+    ratios = model.noise_ratios(sensors.noise_ratio)
+    noise = [float(told[i]) * ratios[i] for i in range(p)]
+    spreads = [0.0 if row is None else float(np.sum((row @ memory.factor) ** 2)) for row in rows]
+    std = [sqrt(spread + R) for spread, R in zip(spreads, noise, strict=True)]
+    measured = [isfinite(y[i]) and rows[i] is not None for i in range(p)]
+    repeats = [measured[i] and y[i] == state.sample[i] for i in range(p)]
+    judged = memory.age > 0
+    stale = judged and any(
+        repeats[i] and (abs(e[i]) > SUSPICIOUS * std[i] or bool(sensors.refused[i])) for i in range(p)
+    )
+
+    columns = memory.factor.shape[1]
+    factor = np.zeros((len(xi), columns + p))
+    factor[:, :columns] = memory.factor
+    jumps, lagged = memory.jumps, memory.lagged
+    evidence, precision, log_weight = jumps.evidence, jumps.precision, jumps.log_weight
+    signatures = jumps.signatures
+    prior = xi
+    refused, debt = sensors.refused.copy(), sensors.debt.copy()
+    skipped, drift = sensors.skipped.copy(), sensors.drift.copy()
+    ratio, counted, mean = sensors.noise_ratio.copy(), sensors.counted.copy(), sensors.mean.copy()
+    repeat_rate, sample, squares = sensors.repeat_rate.copy(), list(state.sample), list(state.squares)
+    used = np.zeros(p, dtype=bool)
+    suspicious, fault = False, False
+    for i in range(p):
+        row = rows[i]
+        if not measured[i] or row is None:
+            continue
+        error = e[i] - float(row @ (xi - prior))
+        seen = row @ factor
+        alpha = float(seen @ seen) + noise[i]
+        squared = error * error / alpha
+        if not (stale and repeats[i]):
+            mean[i] += (min(max(error / sqrt(alpha), -_LIMIT), _LIMIT) - mean[i]) / _LATEST
+        far = squared > SUSPICIOUS**2
+        suspicious = suspicious or far
+        seen_jump = row @ signatures
+        evidence_if_good = evidence + seen_jump * (error / alpha)
+        precision_if_good = precision + seen_jump**2 / alpha
+        if not refused[i]:
+            repeat_rate[i] += (repeats[i] - repeat_rate[i]) / MEMORY
+        sample[i] = y[i]
+        if judged and (far or (stale and repeats[i])):
+            again = fault or (bool(refused[i]) and repeats[i])
+            verdict = judge(
+                squared,
+                error,
+                alpha,
+                noise[i],
+                repeats=repeats[i],
+                repeat_rate=float(sensors.repeat_rate[i]),
+                again=again,
+                starting=memory.age < model.start_samples,
+            )
+            refused[i] = verdict.refused
+            if verdict.refused:
+                fault = True
+                good = verdict.if_good + (
+                    gain(evidence_if_good, precision_if_good, model.jump_variances)
+                    - gain(evidence, precision, model.jump_variances)
+                )
+                better = good > verdict.if_faulty
+                evidence = np.where(better, evidence_if_good, evidence)
+                precision = np.where(better, precision_if_good, precision)
+                log_weight = log_weight + np.where(better, verdict.if_good - verdict.if_faulty, 0.0)
+                fresh = debt[i] == 0.0
+                skipped[i] = error * error if fresh else 0.5 * (skipped[i] + error * error)
+                drift[i] = error if fresh else 0.5 * (drift[i] + error)
+                if not repeats[i]:
+                    debt[i] += min(max(-verdict.if_faulty, 0.0), _MOST_DEBT)
+                weight = 0.0 if abs(mean[i]) > _BIASED else min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
+                counted[i] += weight
+                if not stale:
+                    ratio[i] = adaptive_noise.averaged(
+                        float(ratio[i]), float(counted[i]), error * error / told[i], alpha / told[i], weight
+                    )
+                if not repeats[i]:
+                    # Little of an outlier is used; more of a sample that only a wrong estimate makes look like one.
+                    weak = squared / SUSPICIOUS**2 * alpha
+                    K = (factor @ seen) / weak * model.estimated
+                    signatures = signatures - K[:, None] * seen_jump
+                    lagged = smoothed(lagged, row, K, error, weak)
+                    xi = xi + K * error
+                    factor = factor - K[:, None] * seen
+                    factor[:, columns + i] = K * sqrt(noise[i] + weak - alpha)
+                continue
+        refused[i] = False
+        used[i] = True
+        debt[i] *= _DEBT_LEFT
+        K = (factor @ seen) / alpha * model.estimated
+        evidence, precision = evidence_if_good, precision_if_good
+        signatures = signatures - K[:, None] * seen_jump
+        lagged = smoothed(lagged, row, K, error, alpha)
+        xi = xi + K * error
+        factor = factor - K[:, None] * seen
+        factor[:, columns + i] = K * sqrt(noise[i])
+        squares[i] += (squared - squares[i]) / MEMORY
+        weight = 0.0 if abs(mean[i]) > _BIASED else min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
+        counted[i] += weight
+        left = error - float(row @ K) * error
+        ratio[i] = adaptive_noise.averaged(
+            float(ratio[i]), float(counted[i]), error * left / told[i], alpha / told[i], weight
+        )
+    bank = JumpBank(signatures, evidence, precision, log_weight, jumps.newest_age)
+    sensors = replace(
+        sensors,
+        noise_ratio=ratio if memory.age > model.layout.size else sensors.noise_ratio,
+        counted=counted if memory.age > model.layout.size else sensors.counted,
+        repeat_rate=repeat_rate,
+        refused=refused,
+        debt=debt,
+        skipped=skipped,
+        drift=drift,
+        mean=mean,
+        waited=np.where(used, 0.0, sensors.waited),
+        interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 2.0 / MEMORY)), sensors.interval),
+    )
+    added = mixture(bank, model.jump_variances)
+    if added.certain >= 0:
+        newest = model.newest_jump
+        shift, more = accept(bank, added.certain, model.jump_variances, newest)
+        xi = xi + shift
+        factor = np.hstack([factor, more])
+        bank = empty_bank(len(xi), model.layout.q)
+        # What looked like an outlier was the jump, whose size it has told.
+        used = np.array(measured)
+        sensors = replace(
+            sensors,
+            mean=np.zeros(p),
+            debt=np.zeros(p),
+            refused=np.zeros(p, dtype=bool),
+            waited=np.where(used, 0.0, sensors.waited),
+        )
+        added = mixture(bank, model.jump_variances)
+    return Measured(
+        xi=xi,
         factor=factor,
-        used=verdict.used,
-        valid=verdict.used,
-        converged=may_converge and (before.converged or gain_change(measured, stationary.update) <= _CONVERGED),
-        innovation=verdict.innovation,
-        rejected=verdict.rejected,
-        age=age,
-        next_age=min(age + 1, start.samples),
+        jumps=bank,
+        sensors=sensors,
+        lagged=lagged,
+        mixture=added,
+        innovation=np.array(e),
+        innovation_std=np.array(std),
+        sample=tuple(sample),
+        squares=tuple(squares),
+        used=used,
+        suspicious=suspicious,
     )
 
 
-def leave_out(state: SampledObserverState, xi_hat: Array, sample: Sample) -> Corrected:
-    """Keep ξ̂⁻ (N,) of a state as it is before a short step, whose sample is not used."""
-    before = state.covariance
-    return Corrected(
-        xi_hat=xi_hat,
-        d_hat=np.array(state.d_hat),
-        factor=before.factor,
-        used=False,
-        valid=sample.finite and before.rejected == 0,
-        converged=False,
-        innovation=np.array(state.innovation),
-        rejected=before.rejected,
-        age=before.age,
-        next_age=before.age,
-    )
+def predicted_sample(model: FilterModel, state: SampledObserverState, y: Vector) -> tuple[Array, Array]:
+    """Return y − ŷ (p,), 0 where nothing was measured, and the standard deviations (p,) that it should have."""
+    xi = np.concatenate([model.layout.unpacked(state.xi_hat), state.memory.past])
+    rows = _rows(model, xi, state.memory, state.u)
+    predicted = _predicted(model, xi, state.u, rows)
+    innovation, std = np.zeros(len(y)), np.zeros(len(y))
+    for i, row in enumerate(rows):
+        spread = 0.0 if row is None else float(np.sum((row @ state.memory.factor) ** 2))
+        std[i] = sqrt(spread + model.noise_variance[i])
+        if isfinite(y[i]) and row is not None:
+            innovation[i] = y[i] - predicted[i]
+    return innovation, std
 
 
-def _disturbance(xi_hat: Array, innovation: Array, measured: Update, stationary: StationaryDesign) -> Array:
-    """Return d̂ (q2,) after an update.
+def is_hopeless(sensors: SensorMemory) -> bool:
+    """Return whether so many samples were refused, or all on one side, that what the observer knows must be wrong."""
+    return bool(np.any(_refuted(sensors) | (np.abs(sensors.mean) > _WRONG)))
 
-    For r = 0 it is M_H S_∞ S⁻¹ e: an innovation counts by its covariance S against that of the converged filter.
+
+def _refuted(sensors: SensorMemory) -> NDArray[np.bool_]:
+    """Return for which outputs (p,) too many samples were refused.
+
+    While other samples agree with the estimate, refused ones of one sign are more likely wrong themselves.
     """
-    if stationary.M_H is None:
-        n, q = stationary.system.linear.G_d.shape
-        return xi_hat[n : n + q]
-    if measured is stationary.update:
-        return np.asarray(stationary.M_H @ innovation)
-    S_factor = measured.innovation_factor
-    weighted = np.linalg.solve(S_factor.T, np.linalg.solve(S_factor, innovation))
-    S_converged = stationary.update.innovation_factor @ stationary.update.innovation_factor.T
-    return np.asarray(stationary.M_H @ S_converged @ weighted)
+    agreed = np.array(
+        [len(sensors.refused) > 1 and not np.all(np.delete(sensors.refused, i)) for i in range(len(sensors.refused))]
+    )
+    limit = np.where(agreed & _of_one_sign(sensors), _PATIENCE * _HOPELESS, _HOPELESS)
+    return np.asarray(sensors.debt > limit)
+
+
+def _of_one_sign(sensors: SensorMemory) -> NDArray[np.bool_]:
+    return np.asarray(sensors.drift**2 > _ONE_SIGN * sensors.skipped)
+
+
+def reconsidered(model: FilterModel, xi: Array, memory: FilterMemory, sensors: SensorMemory, u: Vector) -> FilterMemory:
+    """Return the memory before a sample, once so many samples were refused that what it says must be wrong.
+
+    Refused innovations of both signs mean that the noise is larger than was told, those of one sign that the estimate
+    is worse than its covariance says. Either is enlarged until these innovations are twice their standard deviation.
+    """
+    biased = np.abs(sensors.mean) > _WRONG
+    refused = _refuted(sensors)
+    hopeless = refused | biased
+    one_sign = biased | _of_one_sign(sensors)
+    ratios = np.array(model.noise_ratios(sensors.noise_ratio))
+    noise = model.noise_variance * ratios
+    larger = hopeless & ~one_sign if model.adapts else np.zeros(len(noise), dtype=bool)
+    ratio = np.where(
+        larger, np.maximum(sensors.noise_ratio, 0.25 * sensors.skipped / model.noise_variance), sensors.noise_ratio
+    )
+    grown = float(np.max(np.where(larger, ratio / ratios, 1.0)))
+    growth = min(grown, _LEAST_GROWTH)
+    rows = _rows(model, xi, memory, u)
+    for i in np.flatnonzero(hopeless & ~larger):
+        row = rows[i]
+        spread = 0.0 if row is None else float(np.sum((row @ memory.factor) ** 2))
+        if spread > 0.0:
+            square = sensors.skipped[i] if refused[i] else sensors.mean[i] ** 2 * (spread + noise[i])
+            growth = max(growth, float(0.25 * square - noise[i]) / spread, _LEAST_GROWTH)
+    growth = float(np.sqrt(growth))
+    return replace(
+        memory,
+        factor=_start_factor(model) if growth > _LOST else memory.factor * growth,
+        sensors=replace(
+            memory.sensors,
+            noise_ratio=ratio,
+            counted=np.where(larger, 0.0, sensors.counted),
+            debt=np.zeros_like(ratio),
+            refused=np.zeros(len(ratio), dtype=bool),
+            mean=np.zeros_like(ratio),
+        ),
+        jumps=empty_bank(model.rows, model.layout.q),
+        lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
+        age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,
+    )
+
+
+def start_memory(model: FilterModel) -> FilterMemory:
+    """Return the memory before the first sample."""
+    p, rows = len(model.equations.outputs), model.rows
+    zeros = np.zeros(p)
+    return FilterMemory(
+        factor=_start_factor(model),
+        past=np.zeros(model.past_size),
+        past_age=np.full(model.past_size // max(len(model.delayed), 1), -1.0),
+        jumps=empty_bank(rows, model.layout.q),
+        sensors=SensorMemory(
+            noise_ratio=np.ones(p),
+            counted=zeros,
+            repeat_rate=zeros,
+            refused=np.zeros(p, dtype=bool),
+            debt=zeros,
+            skipped=zeros,
+            drift=zeros,
+            mean=zeros,
+            waited=zeros,
+            interval=zeros,
+        ),
+        lagged=empty_lag(rows, model.layout.q, model.settings.lag),
+        age=0,
+        lost=False,
+        converged=False,
+        tuned_at=0.0,
+        step=0.0,
+        steady=0,
+    )
+
+
+def _start_factor(model: FilterModel) -> Array:
+    """Return the factor (N + past,N + past) of the covariance before the first sample."""
+    factor = np.zeros((model.rows, model.rows))
+    factor[: model.layout.size, : model.layout.size] = np.diag(model.start_std)
+    return factor
+
+
+def bounded(model: FilterModel, xi: Array, factor: Array) -> tuple[Array, Array]:
+    """Return ξ̂ and the factor with what |d| ≤ D₀ adds where d is known no better than by that.
+
+    The bound counts as a measurement of d = 0 that leaves the standard deviation D₀.
+    """
+    for j, bound in enumerate(model.bound.tolist() if model.layout.order else ()):
+        place = model.layout.n + j
+        seen = factor[place]
+        variance = float(seen @ seen)
+        if variance > bound * bound:
+            noise = variance * bound**2 / (variance - bound**2)
+            K = (factor @ seen) / (variance + noise) * model.estimated
+            xi = xi - K * xi[place]
+            factor = np.column_stack([factor - K[:, None] * seen, K * sqrt(noise)])
+    return xi, factor
+
+
+def _rows(model: FilterModel, xi: Array, memory: FilterMemory, u: Vector) -> list[Array | None]:
+    """Return the row (N + past,) of each output; None where its sensor measured a time before the start."""
+    C = model.slopes(xi, u).C
+    rows: list[Array | None] = []
+    for i, tau in enumerate(model.settings.sensors.delay):
+        now = np.zeros(model.rows)
+        now[: model.layout.size] = C[i]
+        if tau > 0.0:
+            which = model.delayed.index(i)
+            rows.append(row_in_past(memory.past_age, tau, now, which, len(model.delayed)))
+        else:
+            rows.append(now)
+    return rows
+
+
+def _predicted(model: FilterModel, xi: Array, u: Vector, rows: list[Array | None]) -> Array:
+    predicted = model.predicted_output(xi, u)
+    for i in model.delayed:
+        row = rows[i]
+        if row is not None:
+            # The last node of the interpolation is the output at this sample, as far as the row has entries there.
+            share = 1.0 - float(np.sum(row[model.layout.size :]))
+            predicted[i] = share * predicted[i] + float(row[model.layout.size :] @ xi[model.layout.size :])
+    return predicted

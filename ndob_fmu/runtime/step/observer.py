@@ -18,6 +18,7 @@ class Estimate:
     x_at_sample (n,): x̂(t), for the sample that the step began with.
     d_at_sample (q2,): d̂(t).
     d_std (q2,): one-sigma error bar of d_hat.
+    d_lagged, d_lagged_std (q2,): d̂ and its error bar a lag before the sample.
     residual (p,): y − C x̂(t) before the sample was used; 0 for a sample that is not finite.
     residual_std (p,): standard deviation expected of the residual; 0 from method 1, which predicts none.
     valid: False where the sample could not be used, so that the estimate coasts.
@@ -28,9 +29,12 @@ class Estimate:
     x_at_sample: Vector
     d_at_sample: Vector
     d_std: Vector
+    d_lagged: Vector
+    d_lagged_std: Vector
     residual: Vector
     residual_std: Vector
     valid: bool
+    consistency: float
 
 
 class State(Protocol):

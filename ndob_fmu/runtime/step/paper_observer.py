@@ -97,9 +97,12 @@ class PaperObserver:
             x_at_sample=numbers(state.x_hat),
             d_at_sample=numbers(d_hat),
             d_std=numbers(self._error_bar(state.elapsed)),
+            d_lagged=numbers(d_hat),
+            d_lagged_std=numbers(self._error_bar(state.elapsed)),
             residual=numbers(residual),
             residual_std=(0.0,) * len(residual),
             valid=valid,
+            consistency=1.0,
         )
 
     def step(self, state: PaperObserverState, u: Vector, y: Vector, H: float) -> tuple[PaperObserverState, Estimate]:

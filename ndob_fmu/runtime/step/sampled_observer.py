@@ -1,17 +1,15 @@
-"""Method 2, the default: a Kalman-type observer discretised for the step size that the host requests.
+"""Method 2, the default: an extended Kalman filter, discretised for each step that the host requests.
 
-    correct   e = y − C ξ̂⁻,   ξ̂ = ξ̂⁻ + K e                        `measurement_update`, behind the `gate`
-    predict   ξ̂ and its covariance from t to t + H                 `time_update`
+    correct   ξ̂ = ξ̂⁻ + K (y − ŷ), one output at a time       `measurement_update`, `faulty_samples`, `jump_bank`
+    predict   ξ̂ and its covariance from t to t + H           `time_update`
 
-K comes from the covariance recursion, which begins at `design.start_up`, and is frozen once it has converged. From then
-on a sample inside the gate takes a step of generated scalar code (`converged_step`); `step_by_definition` is what that
-must do.
+The covariance begins at what is known of ξ̂₀ and of the disturbance, and runs along (`tracking_step`). Where a frozen
+gain is as good and nothing is unusual, steps of generated scalar code take its place (`converged_step`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from operator import mul
 
 import numpy as np
@@ -19,40 +17,89 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
 from ndob_fmu.runtime.design.augmented import Augmented, augment
+from ndob_fmu.runtime.design.intensity_law import IntensityLaw, law_from_pi, tuned_law
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
-from ndob_fmu.runtime.design.start_up import StartUp, start_up
-from ndob_fmu.runtime.design.stationary_design import StationaryDesign
-from ndob_fmu.runtime.design.step_designs import StepDesign, StepDesigns
-from ndob_fmu.runtime.design.tuning import Knowledge
+from ndob_fmu.runtime.design.start_up import start_up
+from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign
+from ndob_fmu.runtime.design.step_designs import StepDesigns
+from ndob_fmu.runtime.design.tuning import Knowledge, bandwidth_of, squared_errors
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import Numbers
+from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.memo import LatestResult
-from ndob_fmu.runtime.step.converged_step import ConvergedStep, converged_covariance, converged_step
-from ndob_fmu.runtime.step.error_bars import disturbance_std, held_disturbance_std, residual_std
-from ndob_fmu.runtime.step.gate import MOST_REJECTIONS
-from ndob_fmu.runtime.step.measurement_update import Corrected, Sample, correct, leave_out
+from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO
+from ndob_fmu.runtime.step.converged_step import (
+    ConvergedStep,
+    converged_step,
+    frozen_memory,
+    has_converged,
+    squares_are_usual,
+)
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.filter_state import SampledObserverState
+from ndob_fmu.runtime.step.layout import Layout
+from ndob_fmu.runtime.step.measurement_update import Measured, predicted_sample, start_memory
 from ndob_fmu.runtime.step.observer import Estimate, numbers
-from ndob_fmu.runtime.step.sampled_observer_state import CovarianceState, SampledObserverState
-from ndob_fmu.runtime.step.step_plan import StepPlan, is_similar, plan_step
-from ndob_fmu.runtime.step.time_update import predict_covariance, predict_state
+from ndob_fmu.runtime.step.order_zero import step_of_order_zero
+from ndob_fmu.runtime.step.settings import ObserverSettings
+from ndob_fmu.runtime.step.tracking_step import consistency, step_with_covariance
 
 ORDERS = tuple(range(HIGHEST_ORDER + 1))
+# A frozen gain that takes f for noise is as good as one that follows f's slopes up to this ratio of predicted errors.
+_AS_GOOD = 1.1
+# The first step tells which step to tune for, if it is not below this part of the default experiment's. A step that is
+# longer than the tuned one by more than the second factor asks for a new tuning.
+_SHORTEST, _LONGEST = 0.1, 3.0
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The observer tuned for steps about H (s).
+
+    model: its constants
+    intensities: of the noise at H
+    law: of the intensities for other steps and noises
+    freezes: whether a frozen gain is as good as the running covariance
+    """
+
+    H: float
+    model: FilterModel
+    intensities: Intensities
+    law: IntensityLaw | None
+    freezes: bool
+
+    def intensity(self, H: float, noise: float) -> Array:
+        """Return the intensity (q2,) behind the r-th derivative of d at a step H (s), for σ² larger by a factor."""
+        at_tuned = self.intensities.disturbance * self.intensities.scale**2
+        if self.law is None or (noise == 1.0 and self.H == H):
+            return np.asarray(at_tuned)
+        return np.asarray(at_tuned * self.law.at(H, float(np.sqrt(noise))) / self.law.at(self.H))
 
 
 @dataclass(frozen=True)
 class SampledObserver:
     """The observer at given parameters. It remembers nothing between steps but in the state.
 
-    designs: the design for each step size
-    start: the covariance before the first sample
+    layout: of ξ
+    noise_std (p,): of the samples, at least their rounding
+    rounding (p,): that rounding
+    designs: the stationary design for each step size, with f as noise
+    tracking: the same with f's slopes at x̂₀ known
+    longest: the longest step (s) that is tried
     """
 
     equations: Equations
     parameters: Vector
+    settings: ObserverSettings
+    layout: Layout
+    noise_std: Array
+    rounding: Array
     designs: StepDesigns
-    start: StartUp
-    _converged_step: LatestResult[ConvergedStep | None] = field(default_factory=LatestResult, repr=False, compare=False)
+    tracking: StepDesigns
+    longest: float
+    _tuned: LatestResult[Tuned] = field(default_factory=LatestResult, repr=False, compare=False)
+    _converged: LatestResult[ConvergedStep | None] = field(default_factory=LatestResult, repr=False, compare=False)
 
     @property
     def system(self) -> Augmented:
@@ -70,269 +117,358 @@ class SampledObserver:
 
     def init(self, x_hat: Vector) -> SampledObserverState:
         """Return the state before the first sample, from x̂₀ (n,)."""
-        q = len(self.known.disturbance_bound)
+        layout, p = self.layout, len(self.equations.outputs)
+        xi = np.zeros(layout.size)
+        xi[: layout.n] = x_hat
+        xi[layout.parameters] = [self.parameters[i] for i in layout.uncertain]
         return SampledObserverState(
-            xi_hat=(*map(float, x_hat), *(0.0,) * (HIGHEST_ORDER * q)),
-            d_hat=(0.0,) * q,
+            xi_hat=layout.packed(xi),
+            d_hat=(0.0,) * layout.q,
+            d_std=numbers(self.known.disturbance_bound),
             u=(0.0,) * len(self.equations.inputs),
-            innovation=(np.inf,) * len(self.system.C),
-            covariance=CovarianceState(
-                factor=self.start.factor,
-                d_std=numbers(self.known.disturbance_bound),
-                converged=False,
-                tuned_at=0.0,
-                waited=0.0,
-                rejected=0,
-                age=0,
-            ),
+            innovation=(0.0,) * p,
+            sample=(np.nan,) * p,
+            squares=(1.0,) * p,
+            memory=start_memory(self._model(1.0, 0.0)),
         )
 
     def possible(self, state: SampledObserverState, elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
-        c = state.covariance
-        values = np.array([*state.xi_hat, *state.d_hat, *state.u, *c.d_std, c.tuned_at, c.waited])
-        finite = (
-            np.all(np.isfinite(values)) and np.all(np.isfinite(c.factor)) and not np.any(np.isnan(state.innovation))
+        memory, sensors = state.memory, state.memory.sensors
+        values = np.array([*state.xi_hat, *state.d_hat, *state.d_std, *state.u, *state.innovation, *state.squares])
+        arrays = (
+            *(memory.factor, memory.past, memory.past_age),
+            *(memory.jumps.signatures, memory.jumps.evidence, memory.jumps.precision),
+            *(sensors.noise_ratio, sensors.counted, sensors.repeat_rate, sensors.debt, sensors.skipped),
+            *(sensors.drift, sensors.mean, sensors.waited, sensors.interval),
+            *(memory.lagged.age, memory.lagged.value, memory.lagged.variance, memory.lagged.covariance),
         )
-        return (
-            bool(finite)
-            and not any(state.xi_hat[len(self.system.A) :])
-            and min(c.d_std, default=0.0) >= 0.0
-            and c.tuned_at >= 0.0
-            and c.waited >= 0.0
-            and 0 <= c.rejected <= MOST_REJECTIONS
-            and 0 <= c.age <= self.start.samples
+        if not (np.all(np.isfinite(values)) and all(np.all(np.isfinite(array)) for array in arrays)):
+            return False
+        layout = self.layout
+        beyond = state.xi_hat[layout.series.stop : layout.n + HIGHEST_ORDER * layout.q]
+        return bool(
+            not any(beyond)
+            and min(state.d_std) >= 0.0
+            and min(state.squares) >= 0.0
+            and not np.any(np.isinf(state.sample))
+            and np.all(sensors.noise_ratio >= 0.0)
+            and np.all(sensors.counted >= 0.0)
+            and np.all((sensors.repeat_rate >= 0.0) & (sensors.repeat_rate <= 1.0))
+            and np.all(sensors.debt >= 0.0)
+            and np.all(sensors.waited >= 0.0)
+            and np.all(sensors.interval >= 0.0)
+            and np.all(memory.lagged.variance >= 0.0)
+            and not np.any(np.isnan(memory.jumps.log_weight))
+            and not np.any(memory.jumps.log_weight == np.inf)
+            and memory.jumps.newest_age >= 0.0
+            and np.all(memory.jumps.precision >= 0.0)
+            and memory.tuned_at >= 0.0
+            and memory.step >= 0.0
+            and memory.age >= 0
+            and memory.steady >= 0
         )
 
     def estimate(self, state: SampledObserverState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
-        sample = self._against_prediction(self._xi(state), y)
-        of_state = np.linalg.norm(self.system.C @ state.covariance.factor, axis=1)
+        innovation, std = predicted_sample(self._model(1.0, 0.0), state, y)
+        x_hat = state.xi_hat[: self.layout.n]
         return Estimate(
-            x_hat=state.xi_hat[: self._n],
+            x_hat=x_hat,
             d_hat=state.d_hat,
-            x_at_sample=state.xi_hat[: self._n],
+            x_at_sample=x_hat,
             d_at_sample=state.d_hat,
-            d_std=state.covariance.d_std,
-            residual=numbers(sample.innovation),
-            residual_std=numbers(np.hypot(of_state, np.diag(self.known.R_factor))),
-            valid=sample.finite,
+            d_std=state.d_std,
+            d_lagged=state.d_hat,
+            d_lagged_std=state.d_std,
+            residual=numbers(innovation),
+            residual_std=numbers(std),
+            valid=bool(np.any(np.isfinite(y))),
+            consistency=consistency(state.squares),
         )
 
     def step(
         self, state: SampledObserverState, u: Vector, y: Vector, H: float
     ) -> tuple[SampledObserverState, Estimate]:
-        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
+        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step.
+
+        Raises IntegrationError where the step is too long to predict over, DesignError where it has no design.
+        """
         done = self.step_converged(state, (*map(float, u), *map(float, y)), H)
         if done is None:
             return self.step_by_definition(state, u, y, H)
         after, outputs, xi_at_sample = done
-        n, q = self._n, len(after.d_hat)
+        n, q, p = self.layout.n, self.layout.q, len(y)
+        parts = (n, q, q, q, q, q, p, p)
+        ends = np.cumsum(parts).tolist()
+        x_hat, d_hat, at_sample, d_std, lagged, lagged_std, residual, residual_std = (
+            outputs[end - size : end] for size, end in zip(parts, ends, strict=True)
+        )
         return after, Estimate(
-            x_hat=outputs[:n],
-            d_hat=after.d_hat,
+            x_hat=x_hat,
+            d_hat=d_hat,
             x_at_sample=xi_at_sample[:n],
-            d_at_sample=outputs[n + q : n + 2 * q],
-            d_std=after.covariance.d_std,
-            residual=after.innovation,
-            residual_std=outputs[-1 - len(after.innovation) : -1],
+            d_at_sample=at_sample,
+            d_std=d_std,
+            d_lagged=lagged,
+            d_lagged_std=lagged_std,
+            residual=residual,
+            residual_std=residual_std,
             valid=True,
+            consistency=outputs[-1],
         )
 
     def step_converged(
         self, state: SampledObserverState, inputs: Vector, H: float
     ) -> tuple[SampledObserverState, tuple[float, ...], Numbers] | None:
-        """Return what `step` does with a converged gain and a sample inside the gate, None for all else.
+        """Return what `step` does with a frozen gain and a sample that is not suspicious, None for all else.
 
         inputs: u and y. The result is the state, the numbers of `Estimate` in their order but for x_at_sample, with
         `valid`, and ξ̂ at the sample (n + 3 q2,).
         """
         # Whether this way is taken depends on the arguments alone, so that a state that is restored goes on as it did.
-        covariance = state.covariance
-        common = self._converged_step.value
-        if common is None or common.covariance is not covariance or common.H != H:
-            if not covariance.converged:
-                return None
-            tuned_at = covariance.tuned_at
-            common = self._converged_step((H, tuned_at), lambda: self._prepared(H, tuned_at))
+        memory = state.memory
+        if not memory.converged or memory.step != H:
+            return None
+        common = self._converged.value
+        if common is None or common.H != H or common.tuned_at != memory.tuned_at:
+            common = self._converged((H, memory.tuned_at), lambda: self._prepared(H, memory.tuned_at))
             if common is None:
                 return None
         try:
-            done = common.observer_step(state.xi_hat, inputs, common.constants, common.gain, H)
+            done = common.observer_step(state.xi_hat, inputs, state.squares, common.constants, common.gain, H)
         except (ArithmeticError, ValueError):
             return None
-        if done is None:
+        if done is None or not squares_are_usual(done.squares):
             return None
-        d_hat, innovation, outputs = done.d_hat, done.innovation, done.outputs
+        d_hat, outputs = done.d_hat, done.outputs
         if common.M_H is not None:
-            n, q = self._n, len(d_hat)
-            d_hat = tuple(sum(map(mul, row, innovation)) for row in common.M_H)
-            outputs = outputs[:n] + d_hat + d_hat + outputs[n + 2 * q :]
+            n, q = self.layout.n, self.layout.q
+            d_hat = tuple(sum(map(mul, row, done.innovation)) for row in common.M_H)
+            std = common.gain.d_std
+            outputs = (*outputs[:n], *d_hat, *d_hat, *std, *d_hat, *std, *outputs[n + 5 * q :])
         return (
-            SampledObserverState(done.xi_hat, d_hat, done.u, innovation, common.covariance),
+            SampledObserverState(
+                done.xi_hat,
+                d_hat,
+                common.gain.d_std,
+                done.u,
+                done.innovation,
+                done.sample,
+                done.squares,
+                memory,
+            ),
             outputs,
             done.xi_at_sample,
         )
 
-    def _prepared(self, H: float, tuned_at: float) -> ConvergedStep | None:
-        if not is_similar(H, tuned_at):
-            return None
-        design = self.designs.at(H, tuned_at)
-        covariance = converged_covariance(design, tuned_at, self.start)
-        return converged_step(self.equations, self.parameters, design, covariance)
-
     def step_by_definition(
         self, state: SampledObserverState, u: Vector, y: Vector, H: float
     ) -> tuple[SampledObserverState, Estimate]:
-        """Do what `step` does for every state and every sample.
+        """Do what `step` does for every state and every sample, with the covariance.
 
         Raises IntegrationError where the step is too long to predict over, DesignError where it has no design.
         """
-        if not self._longest_step >= H:
+        if not self.longest >= H:
             raise IntegrationError.report(
-                "communication step", expected=f"at most {self._longest_step:.3g} s", received=f"{H:g} s"
+                "communication step", expected=f"at most {self.longest:.3g} s", received=f"{H:g} s"
             )
-        before = state.covariance
-        plan = plan_step(H, before.tuned_at, before.waited, self.equations.experiment.step_size)
-        inputs = tuple(map(float, u))
-        state = replace(
-            state,
-            u=inputs if np.all(np.isfinite(inputs)) else state.u,
-            covariance=self._retuned(before, plan.tuned_at),
-        )
-        design = self.designs.at(plan.designed_for, plan.tuned_at)
-        xi_hat = self._xi(state)
-        sample = self._against_prediction(xi_hat, y)
-        if plan.uses_sample:
-            corrected = correct(state, xi_hat, sample, design, self.start, H)
+        inputs, sample = tuple(map(float, u)), tuple(map(float, y))
+        memory = state.memory
+        tuned_at = memory.tuned_at
+        if tuned_at == 0.0 or _LONGEST * tuned_at < H:
+            default = self.equations.experiment.step_size
+            tuned_at = H if _SHORTEST * default <= H else max(default, tuned_at)
+            memory = replace(memory, tuned_at=tuned_at)
+        state = replace(state, u=inputs if np.all(np.isfinite(inputs)) else state.u, memory=memory)
+        tuned = self.tuned(tuned_at)
+        if self.layout.order:
+            noise = float(np.exp(np.mean(np.log(tuned.model.noise_ratios(memory.sensors.noise_ratio)))))
+            after, estimate, measured = step_with_covariance(tuned.model, state, sample, H, tuned.intensity(H, noise))
         else:
-            corrected = leave_out(state, xi_hat, sample)
-        after = self._predict(state, corrected, design, plan, H)
-        return after, Estimate(
-            x_hat=after.xi_hat[: self._n],
-            d_hat=after.d_hat,
-            x_at_sample=numbers(corrected.xi_hat[: self._n]),
-            d_at_sample=numbers(corrected.d_hat),
-            d_std=after.covariance.d_std,
-            residual=numbers(sample.innovation),
-            residual_std=numbers(residual_std(state.covariance.factor, design)),
-            valid=corrected.valid,
+            after, estimate, measured = step_of_order_zero(
+                tuned.model, state, sample, H, self.designs.at(tuned_at, tuned_at)
+            )
+        return self._frozen(tuned, after, measured, H), estimate
+
+    def tuned(self, H: float) -> Tuned:
+        """Return what is tuned for steps about H (s). Raises DesignError where there is no tuning."""
+        return self._tuned((H,), lambda: self._tune(H))
+
+    def _tune(self, H: float) -> Tuned:
+        layout = self.layout
+        if layout.order == 0:
+            intensities = self.designs.intensities(H)
+            return Tuned(H, self._model(intensities.scale, 0.0), intensities, None, freezes=self._may_freeze)
+        designs, frozen_error = self.designs, np.inf
+        try:
+            frozen_error = sum(squared_errors(self.designs.at(H).stationary, self.known))
+        except DesignError:
+            designs = self.tracking
+        error = np.inf
+        try:
+            error = sum(squared_errors(self.tracking.at(H).stationary, self.known))
+            intensities = self.tracking.intensities(H)
+            designs = self.tracking
+        except DesignError:
+            intensities = designs.intensities(H)
+        freezes = frozen_error <= _AS_GOOD**2 * error and frozen_error < np.inf
+        if freezes:
+            intensities = self.designs.intensities(H)
+        bandwidth = bandwidth_of(self.tracking.system, H, float(intensities.disturbance[0]), self.known)
+        if np.all(self.known.disturbance_rate > 0.0):
+            law = tuned_law(designs.system, H, self.settings.alpha, designs.known)
+        else:
+            law = law_from_pi(designs.system, H, self.settings.pi, designs.known)
+        return Tuned(
+            H,
+            self._model(intensities.scale, 0.25 / bandwidth),
+            intensities,
+            law,
+            freezes=freezes and self._may_freeze,
         )
 
-    def _predict(
-        self, before: SampledObserverState, corrected: Corrected, design: StepDesign, plan: StepPlan, H: float
-    ) -> SampledObserverState:
-        """Return the state a step H (s) after the sample.
+    @property
+    def _may_freeze(self) -> bool:
+        settings, layout = self.settings, self.layout
+        plain = not (layout.biased or layout.uncertain or any(settings.sensors.delay) or any(settings.state_noise))
+        return plain and settings.lag == 0.0
 
-        Raises IntegrationError where it leaves the finite numbers.
-        """
-        n, d_hat = self._n, corrected.d_hat
-        # For r = 0 the corrections K e carry all of d, so that only a step without one needs it here.
-        held = np.zeros(len(d_hat)) if corrected.used else d_hat
-        xi_hat = predict_state(self.equations, self.parameters, corrected.xi_hat, held, before.u, H)
-        if corrected.converged:
-            factor = design.stationary.prior_factor
-        else:
-            starting = corrected.age < self.start.samples
-            factor = predict_covariance(corrected.factor, design, H, starting=starting)
-        if not (np.all(np.isfinite(xi_hat)) and np.all(np.isfinite(factor)) and np.all(np.isfinite(d_hat))):
-            raise IntegrationError("the observer's estimate leaves the finite numbers")
-        if self.system.order == 0 and not plan.uses_sample:
-            d_std = held_disturbance_std(np.array(before.covariance.d_std), design, H)
-        else:
-            d_std = disturbance_std(factor, design)
-        return SampledObserverState(
-            xi_hat=numbers(xi_hat) + (0.0,) * (len(before.xi_hat) - len(xi_hat)),
-            d_hat=numbers(xi_hat[n : n + len(d_hat)] if self.system.order else d_hat),
-            u=before.u,
-            innovation=numbers(corrected.innovation),
-            covariance=CovarianceState(
-                factor=factor,
-                d_std=numbers(d_std),
-                converged=corrected.converged,
-                tuned_at=plan.tuned_at,
-                waited=plan.waited,
-                rejected=corrected.rejected,
-                age=corrected.next_age,
+    def _frozen(self, tuned: Tuned, after: SampledObserverState, measured: Measured, H: float) -> SampledObserverState:
+        """Return the state with a frozen gain, where that is as good from now on."""
+        memory = after.memory
+        started = memory.age >= tuned.model.start_samples and memory.steady >= tuned.model.start_samples
+        adapted = any(ratio != 1.0 for ratio in tuned.model.noise_ratios(memory.sensors.noise_ratio))
+        if not (tuned.freezes and started) or adapted or memory.lost:
+            return after
+        try:
+            design = self.designs.at(H, memory.tuned_at)
+        except DesignError:
+            return after
+        if not has_converged(tuned.model, memory, measured, after.squares, design):
+            return after
+        return replace(after, memory=frozen_memory(tuned.model, memory, design))
+
+    def _prepared(self, H: float, tuned_at: float) -> ConvergedStep | None:
+        return converged_step(self.equations, self.parameters, self.designs.at(H, tuned_at), tuned_at)
+
+    def _model(self, scale: float, jump_spacing: float) -> FilterModel:
+        settings = self.settings
+        start = start_up(self.system, self.known, np.array(settings.x_std, dtype=float))
+        return FilterModel(
+            equations=self.equations,
+            parameters=self.parameters,
+            settings=settings,
+            layout=self.layout,
+            noise_variance=(self.noise_std * scale) ** 2,
+            start_std=np.concatenate(
+                [
+                    np.diag(start.factor),
+                    [settings.sensors.bias_std[i] for i in self.layout.biased],
+                    [settings.parameter_std[i] for i in self.layout.uncertain],
+                ]
             ),
+            least_noise=np.ones(len(self.noise_std))
+            if scale > 1.0
+            else np.maximum((self.rounding / self.noise_std) ** 2, LEAST_RATIO),
+            jump_spacing=jump_spacing,
         )
-
-    def _retuned(self, covariance: CovarianceState, tuned_at: float) -> CovarianceState:
-        """Return the covariance in the scale of intensities tuned at another step, for which no gain is frozen yet."""
-        if covariance.tuned_at in (0.0, tuned_at):
-            return covariance
-        old, new = (self.designs.intensities(H).scale for H in (covariance.tuned_at, tuned_at))
-        return replace(covariance, factor=covariance.factor * (new / old), converged=False)
-
-    def _xi(self, state: SampledObserverState) -> Array:
-        """Return ξ̂⁻ (N,)."""
-        return np.array(state.xi_hat[: len(self.system.A)])
-
-    def _against_prediction(self, xi_hat: Array, y: Vector) -> Sample:
-        sample = np.array(y, dtype=float)
-        finite = bool(np.all(np.isfinite(sample)))
-        return Sample(innovation=sample - self.system.C @ xi_hat if finite else np.zeros(len(sample)), finite=finite)
-
-    @cached_property
-    def _longest_step(self) -> float:
-        return longest_step(self.equations, self.system.linear)
-
-    @cached_property
-    def _n(self) -> int:
-        return len(self.equations.states)
 
 
 def sampled_observer(
-    equations: Equations,
-    parameters: Vector,
-    *,
-    order: int,
-    noise_std: Vector,
-    disturbance_bound: Vector,
-    disturbance_rate: Vector,
-    x_hat: Vector,
-    x_std: Vector,
-    alpha: float,
-    pi: float,
+    equations: Equations, parameters: Vector, settings: ObserverSettings, x_hat: Vector
 ) -> SampledObserver:
-    """Prepare the observer of disturbance order r = 0 … 3; the gain is designed at the first step, which tells H.
+    """Prepare the observer for an estimate x̂₀ (n,) to start from; it is tuned at the first step, which tells H.
 
-    noise_std (p,): ≥ 0, σ of each output's sample; 0 for no noise
-    disturbance_bound (q2,): D₀ > 0, the bound of |d|
-    disturbance_rate (q2,): ≥ 0, the bound of |d^{(r)}|, of |ḋ| for r = 0; with 0 the pace follows from `pi`
-    x_hat (n,): the estimate to start from
-    x_std (n,): > 0, the standard deviation of its error
-    alpha, pi: α (1/s), which r = 0 needs, and π, which sets the pace where a rate is 0
-
-    Raises DesignError for values outside these ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
+    Raises DesignError for settings outside their ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
     """
-    _require("disturbance_order", order in ORDERS, "0, 1, 2 or 3", order)
-    _require("alpha", np.isfinite(alpha) and alpha > 0.0, "a finite number > 0", alpha)
-    _require("pi_end", np.isfinite(pi) and pi > 0.0, "a finite number > 0", pi)
-    sigma, bound, rate, std = (
-        np.array(v, dtype=float) for v in (noise_std, disturbance_bound, disturbance_rate, x_std)
+    _check(settings)
+    order = settings.order
+    bound, rate, std, noise = (
+        np.array(v, dtype=float)
+        for v in (settings.disturbance_bound, settings.disturbance_rate, settings.x_std, settings.sensors.noise_std)
     )
-    _require("noise_std", bool(np.all(np.isfinite(sigma) & (sigma >= 0.0))), "finite numbers ≥ 0", sigma)
-    _require("disturbance_bound", bool(np.all(np.isfinite(bound) & (bound > 0.0))), "finite numbers > 0", bound)
-    _require("disturbance_rate", bool(np.all(np.isfinite(rate) & (rate >= 0.0))), "finite numbers ≥ 0", rate)
-    _require("hat_start_std", bool(np.all(np.isfinite(std) & (std > 0.0))), "finite numbers > 0", std)
     linear = equations.linear_part(parameters)
-    require_zeros_left_of(linear, alpha if order == 0 else 0.0)
-    system = augment(linear, order)
+    require_zeros_left_of(linear, settings.alpha if order == 0 else 0.0)
     # No sample is better than the rounding of a number of its size.
     size = np.abs(linear.C @ np.array(x_hat, dtype=float)) + np.abs(linear.C) @ std
+    rounding = 4.0 * np.finfo(float).eps * size
+    noise = np.maximum(noise, rounding)
     known = Knowledge(
-        R_factor=np.diag(np.maximum(sigma, 4.0 * np.finfo(float).eps * size)),
-        disturbance_bound=bound,
-        disturbance_rate=rate,
-        lipschitz=equations.lipschitz,
+        R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate, lipschitz=equations.lipschitz
     )
     return SampledObserver(
         equations=equations,
         parameters=parameters,
-        designs=StepDesigns(system=system, known=known, x_std=std, alpha=alpha, pi=pi, f_states=equations.f_states),
-        start=start_up(system, known, std),
+        settings=settings,
+        layout=Layout(
+            n=len(linear.A),
+            q=linear.G_d.shape[1],
+            order=order,
+            biased=tuple(i for i, s in enumerate(settings.sensors.bias_std) if s > 0.0),
+            uncertain=tuple(i for i, s in enumerate(settings.parameter_std) if s > 0.0),
+        ),
+        noise_std=noise,
+        rounding=rounding,
+        designs=StepDesigns(
+            system=augment(linear, order),
+            known=known,
+            x_std=std,
+            alpha=settings.alpha,
+            pi=settings.pi,
+            f_states=equations.f_states,
+        ),
+        tracking=StepDesigns(
+            system=augment(_tangent(equations, parameters, linear, x_hat), order),
+            known=replace(known, lipschitz=0.0),
+            x_std=std,
+            alpha=settings.alpha,
+            pi=settings.pi,
+            f_states=(),
+        ),
+        longest=longest_step(equations, linear),
     )
+
+
+def _tangent(equations: Equations, parameters: Vector, linear: LinearPart, x_hat: Vector) -> LinearPart:
+    """Return the plant linearised at x̂₀ and u = 0, without f; the linear part where that cannot be evaluated."""
+    n, q = linear.G_d.shape
+    try:
+        entries = equations.linearisation(x_hat, (0.0,) * len(equations.inputs), (0.0,) * q, parameters)
+    except (ArithmeticError, ValueError):
+        return linear
+    slopes = np.array(entries, dtype=float).reshape(n + len(linear.C), n + q)[:n, :n]
+    if not np.all(np.isfinite(slopes)):
+        return linear
+    return LinearPart(A=slopes, B=linear.B, C=linear.C, G_f=np.zeros((n, 0)), G_d=linear.G_d, matched=True)
+
+
+def _check(settings: ObserverSettings) -> None:
+    def positive(values: Vector) -> bool:
+        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) > 0.0))
+
+    def not_negative(values: Vector) -> bool:
+        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) >= 0.0))
+
+    sensors = settings.sensors
+    _require("disturbance_order", settings.order in ORDERS, "0, 1, 2 or 3", settings.order)
+    _require("alpha", positive([settings.alpha]), "a finite number > 0", settings.alpha)
+    _require("pi_end", positive([settings.pi]), "a finite number > 0", settings.pi)
+    _require("lag", not_negative([settings.lag]), "a finite number ≥ 0", settings.lag)
+    for name, values in (
+        ("disturbance_bound", settings.disturbance_bound),
+        ("hat_start_std", settings.x_std),
+    ):
+        _require(name, positive(values), "finite numbers > 0", np.array(values))
+    for name, values in (
+        ("noise_std", sensors.noise_std),
+        ("delay", sensors.delay),
+        ("bias_std", sensors.bias_std),
+        ("disturbance_rate", settings.disturbance_rate),
+        ("parameter_std", settings.parameter_std),
+        ("state_noise", settings.state_noise),
+    ):
+        _require(name, not_negative(values), "finite numbers ≥ 0", np.array(values))
 
 
 def _require(name: str, condition: bool, expected: str, received: object) -> None:

@@ -1,6 +1,9 @@
 """The time update: ξ̂ and its covariance from a sample to the end of the step.
 
-x̂' = A x̂ + B u + G_f f(x̂, u) + G_d d̂(t),   d̂⁽ʳ⁾ = 0,   from t to t + H
+ẋ = F(x, u) + G_d(x, u) d by the plant's equations, d continued by its Taylor series;   S ← [Φ S, N]
+
+Φ and N belong to ẋ linearised at ξ̂ (`transition`). While ξ̂ is far off, after the start, what that leaves out counts as
+noise: the second moment of the quadratic terms.
 """
 
 from __future__ import annotations
@@ -10,53 +13,173 @@ from math import factorial
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.augmented import discretise
-from ndob_fmu.runtime.design.stationary_design import scaled_noise
-from ndob_fmu.runtime.design.step_designs import StepDesign
-from ndob_fmu.runtime.equations import Equations, Vector
-from ndob_fmu.runtime.numerics.kalman import predict
+from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
+from ndob_fmu.runtime.generated_steps import ConvergedGain
+from ndob_fmu.runtime.numerics.kalman import triangular
 from ndob_fmu.runtime.numerics.stiff import integrate_any
+from ndob_fmu.runtime.numerics.transition import sampled
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.layout import Layout
+
+# E (z²/2)² = 3/4 for a normal number z.
+_SECOND_ORDER = float(np.sqrt(0.75))
 
 
-def predict_state(equations: Equations, parameters: Vector, xi_hat: Array, held: Array, u: Vector, H: float) -> Array:
-    """Return ξ̂⁻ (N,) a step H (s) after ξ̂ (N,), by the plant's equations with d continued by its Taylor series.
+# Where ẋ's slopes change by more than this part of 1/H over a step, the step is taken in parts.
+_STRAIGHT = 0.2
+_MOST_PARTS = 8
 
-    held (q2,): d over the step for r = 0, where ξ̂ has no disturbance.
+
+def predict(
+    model: FilterModel, xi: Array, factor: Array, u: Vector, H: float, intensity: Array, *, starting: bool
+) -> tuple[Array, Array, Array]:
+    """Return ξ̂⁻ (N + past,), the factor (N + past,N + past) and Φ (N,N) a step H (s) later.
+
+    intensity (q2,): of the noise behind the r-th derivative of d
+    starting: whether ξ̂ may be far off
     """
-    n, q = len(equations.states), len(held)
-    r = (len(xi_hat) - n) // q
-    series = xi_hat[n:].reshape(r, q) if r else held[None]
+    channel = _noise_channel(model, intensity)
+    end = predict_mean(model, xi, u, H)
+    F, F_end = model.slopes(xi, u).F, model.slopes(end, u).F
+    change = float(np.max(np.sum(np.abs(F_end - F), axis=0))) * H
+    if not change <= _STRAIGHT:
+        parts = int(min(np.ceil(change / _STRAIGHT), _MOST_PARTS)) if np.isfinite(change) else _MOST_PARTS
+        whole = np.eye(len(F))
+        for _ in range(parts):
+            end = predict_mean(model, xi, u, H / parts)
+            F_end = model.slopes(end, u).F
+            Phi, factor = _predict_factor(
+                model, xi, factor, u, H / parts, channel, 0.5 * (F + F_end), starting=starting
+            )
+            whole, xi, F = Phi @ whole, end, F_end
+        return end, factor, whole
+    Phi, factor = _predict_factor(model, xi, factor, u, H, channel, 0.5 * (F + F_end), starting=starting)
+    return end, factor, Phi
+
+
+def _predict_factor(
+    model: FilterModel, xi: Array, factor: Array, u: Vector, H: float, channel: Array, F: Array, *, starting: bool
+) -> tuple[Array, Array]:
+    N = model.layout.size
+    Phi, noise = sampled(F, channel, H)
+    if starting:
+        noise = np.hstack([noise, left_out(model, xi, factor, u, H)])
+    columns = factor.shape[1]
+    whole = np.zeros((model.rows, columns + noise.shape[1] + model.rows))
+    whole[:, :columns] = factor
+    whole[:N, :columns] = Phi @ factor[:N]
+    whole[:N, columns : columns + noise.shape[1]] = noise
+    return Phi, triangular(whole)
+
+
+def _noise_channel(model: FilterModel, intensity: Array) -> Array:
+    """Return the channel (N,·) of white noise of intensity one."""
+    layout = model.layout
+    columns = [layout.last_derivative * np.sqrt(intensity)]
+    noisy = np.flatnonzero(np.array(model.settings.state_noise))
+    if len(noisy):
+        columns.append(np.eye(layout.size)[:, noisy] * np.array(model.settings.state_noise)[noisy])
+    return np.hstack(columns)
+
+
+def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array | None = None) -> Array:
+    """Return ξ̂⁻ (N + past,) a step H (s) after ξ̂; `held` (q2,): d over the step for r = 0.
+
+    Raises IntegrationError where it leaves the finite numbers."""
+    layout, eq = model.layout, model.equations
+    after = xi.copy()
+    parameters = model.with_parameters(xi)
+    packed = layout.packed(xi[: layout.size])
+    if held is not None:
+        packed = (*packed[: layout.n], *held.tolist(), *packed[layout.n + layout.q :])
+    done = None
+    try:
+        constants = eq.steps.observer_constants(parameters)
+        nothing = (0.0,) * len(eq.outputs)
+        done = eq.steps.observer_step(
+            packed[: layout.n + HIGHEST_ORDER * layout.q], (*u, *nothing), nothing, constants, _no_gain(model), H
+        )
+    except (ArithmeticError, ValueError):
+        done = None
+    if done is not None:
+        after[: layout.series.stop] = done.xi_hat[: layout.series.stop]
+    else:
+        after[: layout.series.stop] = _by_definition(eq, layout, parameters, xi, u, H, held)
+    if not np.all(np.isfinite(after)):
+        raise IntegrationError("the observer's estimate leaves the finite numbers")
+    return np.asarray(after)
+
+
+def left_out(model: FilterModel, xi: Array, factor: Array, u: Vector, H: float) -> Array:
+    """Return the columns (N,·) of what the linearisation leaves out of ẋ over a step H (s), as noise.
+
+    Second differences along sums of all columns of S, with orthogonal signs, see products of two states' errors too.
+    """
+    layout, eq = model.layout, model.equations
+    n = layout.n
+    d = tuple(xi[layout.disturbance].tolist()) or (0.0,) * layout.q
+    parameters = model.with_parameters(xi)
+
+    def rate(x: Array) -> Array:
+        try:
+            return np.array(eq.derivatives(x.tolist(), u, d, parameters), dtype=float)
+        except (ArithmeticError, ValueError):
+            return np.full(n, np.nan)
+
+    x = xi[:n]
+    centre = 2.0 * rate(x)
+    lower = triangular(factor)[:n, : layout.size]
+    count = 1 << (layout.size - 1).bit_length()
+    columns = np.zeros((layout.size, count))
+    for k in range(count):
+        along = lower @ _signs(k, layout.size)
+        bend = rate(x + along) + rate(x - along) - centre
+        columns[:n, k] = np.where(np.isfinite(bend), bend, 0.0)
+    return np.asarray(_SECOND_ORDER * H / np.sqrt(count) * columns)
+
+
+def _signs(k: int, size: int) -> Array:
+    """Return row k of Walsh's orthogonal signs (size,)."""
+    return np.array([-1.0 if (i & k).bit_count() % 2 else 1.0 for i in range(size)])
+
+
+def ahead(model: FilterModel, Phi: Array, columns: Array) -> Array:
+    """Return columns (N + past,·) of errors a step later."""
+    N = model.layout.size
+    after = columns.copy()
+    after[:N] = Phi @ columns[:N]
+    return np.asarray(after)
+
+
+def _no_gain(model: FilterModel) -> ConvergedGain:
+    p, n, q = len(model.equations.outputs), model.layout.n, model.layout.q
+    return ConvergedGain(
+        gate=(np.inf,) * p,
+        weight=(0.0,) * p,
+        d_std=(0.0,) * q,
+        at_sample_std=(0.0,) * q,
+        residual_std=(0.0,) * p,
+        K=(0.0,) * ((n + HIGHEST_ORDER * q) * p),
+    )
+
+
+def _by_definition(
+    eq: Equations, layout: Layout, parameters: Vector, xi: Array, u: Vector, H: float, held: Array | None
+) -> Array:
+    """Return x̂ and the series of d (n + r q2,) a step later, by the plant's equations."""
+    n, q, r = layout.n, layout.q, layout.order
+    series = xi[layout.series].reshape(r, q) if held is None else held[None]
 
     def taylor(rows: Array, t: float) -> Array:
         return np.asarray(sum((row * t**i / factorial(i) for i, row in enumerate(rows)), np.zeros(q)))
 
     def derivatives(t: float, x: Array) -> Array:
-        return np.array(equations.derivatives(x.tolist(), u, taylor(series, t).tolist(), parameters), dtype=float)
+        return np.array(eq.derivatives(x.tolist(), u, taylor(series, t).tolist(), parameters), dtype=float)
 
     def slopes(t: float, x: Array) -> tuple[Array, Array]:
-        return equations.slopes(x.tolist(), u, taylor(series, t).tolist(), taylor(series[1:], t), parameters)
+        return eq.slopes(x.tolist(), u, taylor(series, t).tolist(), taylor(series[1:], t), parameters)
 
-    x_after, _ = integrate_any(derivatives, slopes, xi_hat[:n], H, H)
+    x_after, _ = integrate_any(derivatives, slopes, xi[:n], H, H)
     later = [sum((series[j] * H ** (j - i) / factorial(j - i) for j in range(i, r)), np.zeros(q)) for i in range(r)]
     return np.concatenate([x_after, *later])
-
-
-def predict_covariance(factor: Array, design: StepDesign, H: float, *, starting: bool) -> Array:
-    """Return the covariance's factor (N,N) a step H (s) after a factor (N,N), with what f(x) − f(x̂) may do meanwhile.
-
-    That is at most γ times the error of f's states, as far as it exceeds the converged one, which the intensities
-    cover: a state that only the plant's zeros forget keeps f wrong long after the others are known. Where γ is so large
-    that this bound would never decay, it counts during the start-up (`starting`) only.
-    """
-    stationary = design.stationary
-    discrete, noise_factor = stationary.discrete, stationary.noise_factor
-    if discrete.H != H:
-        discrete = discretise(stationary.system, H, stationary.alpha)
-        noise_factor = scaled_noise(discrete, stationary.intensities)
-    ahead = predict(factor, discrete.filter_phi, noise_factor)
-    if not starting and not design.f_error_fades:
-        return ahead
-    f_states = list(design.f_states)
-    excess = np.sum(ahead[f_states] ** 2) - np.sum(stationary.prior_factor[f_states] ** 2)
-    f_error = design.known.lipschitz * float(np.sqrt(max(excess, 0.0)))
-    return predict(ahead, np.eye(len(ahead)), f_error * discrete.held_f)

@@ -1,0 +1,71 @@
+"""Which samples are refused: each is explained as good, as an outlier or as one that repeats an earlier sample.
+
+Good samples have the innovation e with the variance α. Outliers have 100, 10 000 or 1e6 times the noise. A faulty
+sample that repeats the value before it predicts that value exactly; good samples repeat a value as often as they did
+until now. The explanation of higher probability decides. Hypotheses of a jump (`jump_bank`) judge a refused
+sample for themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+# A sample nearer to its prediction than so many standard deviations is good.
+SUSPICIOUS = 2.5
+# The probability of a faulty sample: after a good one, and after another fault of the sensor or in the same sample.
+_LOG_ODDS = log(0.02 / 0.98)
+_LOG_ODDS_AGAIN = 0.0
+# During the start the covariance is not sure enough to call a sample faulty that is only somewhat improbable.
+_LOG_ODDS_AT_START = -30.0
+_OUTLIERS = (1e4, 1e8, 1e12)  # variance over that of the noise
+_RAREST_REPEAT = 1e-4
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a sample of one output is taken for.
+
+    refused: whether it is not used.
+    if_good, if_faulty: logarithms of its probability, over the density of a good sample at its prediction.
+    """
+
+    refused: bool
+    if_good: float
+    if_faulty: float
+
+
+def judge(
+    squared: float,
+    e: float,
+    alpha: float,
+    variance: float,
+    *,
+    repeats: bool,
+    repeat_rate: float,
+    again: bool,
+    starting: bool,
+) -> Judgement:
+    """Judge a sample with the innovation e, e²/α = `squared`, whose noise has a variance.
+
+    repeats: whether it repeats the sample before
+    repeat_rate: how often good samples do
+    again: whether a fault has been found in this sample, or in the last one of this output
+    """
+    odds = _LOG_ODDS_AGAIN if again else _LOG_ODDS
+    if starting and not repeats:
+        odds = _LOG_ODDS_AT_START
+    good = -0.5 * squared
+    if repeats:
+        good += log(max(repeat_rate, _RAREST_REPEAT))
+        faulty = odds
+    else:
+        faulty = (
+            odds
+            + max(
+                -0.5 * (e * e / (alpha + more * variance) + log((alpha + more * variance) / alpha))
+                for more in _OUTLIERS
+            )
+            - log(len(_OUTLIERS))
+        )
+    return Judgement(refused=faulty > good, if_good=good, if_faulty=faulty)
