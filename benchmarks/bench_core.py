@@ -12,7 +12,9 @@ from benchmarks.timing import take_turns
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.runtime.generated_steps import ConvergedGain
+from ndob_fmu.runtime.step.converged_step import frozen_memory
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from ndob_fmu.runtime.step.settings import observer_settings
 
 STEP = 1e-3
 SIZES, DESIGNED = (4, 8, 16, 32, 64), (4, 8, 16)
@@ -24,36 +26,27 @@ def generated(model):
     eq = compile_model(model)
     n, p, q = len(eq.states), len(eq.outputs), len(eq.disturbances)
     constants = eq.steps.observer_constants(model.parameter_values())
-    gate, d_std, residual_std, K = [1.0] * p, [0.1] * q, [0.1] * p, [1e-3] * ((n + HIGHEST_ORDER * q) * p)
+    K = (1e-3,) * ((n + HIGHEST_ORDER * q) * p)
     xi_hat, inputs = (0.0,) * (n + HIGHEST_ORDER * q), [0.1] * (len(eq.inputs) + p)
-    gain = ConvergedGain(*map(tuple, (gate, d_std, residual_std, K)))
-    assert eq.steps.observer_step(xi_hat, inputs, constants, gain, STEP) is not None
+    one, tenth = (1.0,) * p, (0.1,) * q
+    gain = ConvergedGain(gate=one, weight=one, d_std=tenth, at_sample_std=tenth, residual_std=one, K=K)
+    assert eq.steps.observer_step(xi_hat, inputs, one, constants, gain, STEP) is not None
 
     def steps():
         for _ in range(COUNT):
-            eq.steps.observer_step(xi_hat, inputs, constants, gain, STEP)
+            eq.steps.observer_step(xi_hat, inputs, one, constants, gain, STEP)
 
     return steps
 
 
 def by_definition(model):
-    """Return COUNT steps with a converged gain, in NumPy."""
-    eq, tuning = compile_model(model), compile_model(model).observer
-    observer = sampled_observer(
-        eq,
-        model.parameter_values(),
-        order=tuning.disturbance_order,
-        noise_std=eq.noise_std,
-        disturbance_bound=eq.disturbance_bound,
-        disturbance_rate=eq.disturbance_rate,
-        x_hat=[0.0] * len(eq.states),
-        x_std=eq.xhat0_std,
-        alpha=tuning.alpha,
-        pi=tuning.pi_end,
-    )
-    start = observer.init([0.0] * len(eq.states))
-    covariance = replace(start.covariance, converged=True, tuned_at=STEP, age=10 * len(start.xi_hat))
-    start = replace(start, covariance=covariance)
+    """Return COUNT steps with a converged covariance, in NumPy."""
+    eq = compile_model(model)
+    at_zero = [0.0] * len(eq.states)
+    observer = sampled_observer(eq, model.parameter_values(), observer_settings(eq), at_zero)
+    start, tuned = observer.init(at_zero), observer.tuned(STEP)
+    memory = replace(start.memory, tuned_at=STEP, step=STEP, age=tuned.model.start_samples)
+    start = replace(start, memory=frozen_memory(tuned.model, memory, observer.designs.at(STEP, STEP)))
     u, y = [0.1] * len(eq.inputs), [0.0] * len(eq.outputs)
 
     def steps():

@@ -10,7 +10,8 @@ from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.numerics.exponential import exponential
-from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
 
 FLEXIBLE = MODELS["flexible_joint"]
@@ -32,6 +33,7 @@ def observer_for(model, order, *, noise_std=NOISE, rate=None):
         x_std=np.ones(len(equations.states)),
         alpha=model.observer.alpha,
         pi=1e8,
+        adapt_noise=False,  # the samples have none
     )
 
 

@@ -60,7 +60,7 @@ def walk(role, name):
     for _ in range(200):
         state, estimate = observer.step(state, (0.0,), (0.0,), 1e-2)
     assert estimate.valid, name
-    assert state.covariance.converged, name
+    assert state.memory.converged, name
     np.testing.assert_allclose(estimate.d_hat, 0.0, atol=1e-9)
 
 

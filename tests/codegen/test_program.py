@@ -8,6 +8,7 @@ import os
 import shlex
 import subprocess
 import tempfile
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -112,14 +113,26 @@ def test_the_step_of_the_observer_in_c_gives_the_numbers_of_python(case, H, seco
     inputs, gain = (*u, *(0.1,) * len(eq.outputs)), converged_gain(eq, q, random)
     xi_hat = (*x, *random.normal(size=2 * q).tolist(), *(second,) * q)
     k = eq.steps.observer_constants(p)
-    step = eq.steps.observer_step(xi_hat, inputs, k, gain, H)
-    values = (*gain.gate, *gain.d_std, *gain.residual_std, *gain.K)
-    assert_same(name, "observer_step", tuple(step), xi_hat, inputs, k, values, H)
+    squares = tuple(random.uniform(0.5, 1.5, len(eq.outputs)).tolist())
+    step = eq.steps.observer_step(xi_hat, inputs, squares, k, gain, H)
+    assert_same(name, "observer_step", tuple(step), xi_hat, inputs, squares, k, numbers_of(gain), H)
 
 
 def converged_gain(eq, q, random, gate=100.0):
     p, rows = len(eq.outputs), len(eq.states) + HIGHEST_ORDER * q
-    return ConvergedGain((gate,) * p, (0.1,) * q, (0.2,) * p, tuple((1e-2 * random.normal(size=rows * p)).tolist()))
+    return ConvergedGain(
+        gate=(gate,) * p,
+        weight=tuple(random.uniform(0.5, 2.0, p).tolist()),
+        d_std=(0.1,) * q,
+        at_sample_std=(0.3,) * q,
+        residual_std=(0.2,) * p,
+        K=tuple((1e-2 * random.normal(size=rows * p)).tolist()),
+    )
+
+
+def numbers_of(gain):
+    """Return the fields of the structure one after another, as C takes them."""
+    return tuple(number for field in fields(gain) for number in getattr(gain, field.name))
 
 
 @pytest.mark.parametrize("which", ["outside the gate", "not finite", "too long"])
@@ -131,12 +144,12 @@ def test_a_step_that_the_generated_code_leaves_to_the_definition_is_left_in_c_to
     sample = (np.nan if which == "not finite" else 0.1,) * len(eq.outputs)
     xi_hat, H = (*x, *(0.0,) * (HIGHEST_ORDER * q)), 1e9 if which == "too long" else 1e-3
     k = eq.steps.observer_constants(p)
-    arguments = (*gain.gate, *gain.d_std, *gain.residual_std, *gain.K)
+    squares, arguments = (1.0,) * len(eq.outputs), numbers_of(gain)
     try:
-        assert eq.steps.observer_step(xi_hat, (*u, *sample), k, gain, H) is None
+        assert eq.steps.observer_step(xi_hat, (*u, *sample), squares, k, gain, H) is None
     except (ArithmeticError, ValueError):
         assert which == "too long"  # Python raises where numbers overflow, C goes on with infinity
-    assert in_c(name, "observer_step", xi_hat, (*u, *sample), k, arguments, H, count=1000) is None
+    assert in_c(name, "observer_step", xi_hat, (*u, *sample), squares, k, arguments, H, count=1000) is None
 
 
 def test_the_named_results_have_the_fields_of_the_runtimes_structures():

@@ -144,9 +144,12 @@ class Fixed:
             x_at_sample=tuple(x_at_sample),
             d_at_sample=tuple(w[0]),
             d_std=tuple(std),
+            d_lagged=tuple(w[0]),
+            d_lagged_std=tuple(0.5 * np.array(std)),
             residual=(0.0, 0.0),
             residual_std=(1.0, 1.0),
             valid=valid,
+            consistency=1.0,
         )
 
     def init(self, x_hat):
@@ -189,6 +192,8 @@ def test_with_equal_error_bars_it_is_the_projection_on_the_direction():
     assert estimate.d_at_sample == pytest.approx([n(0.5) @ w[0] / (n(0.5) @ n(0.5))], rel=1e-14)
     assert estimate.d_hat == pytest.approx([n(0.7) @ w[1] / (n(0.7) @ n(0.7))], rel=1e-14)
     assert estimate.d_std == pytest.approx([0.1 / np.linalg.norm(n(0.7))], rel=1e-14)
+    assert estimate.d_lagged == pytest.approx(estimate.d_at_sample, rel=1e-14)
+    assert estimate.d_lagged_std == pytest.approx([0.05 / np.linalg.norm(n(0.5))], rel=1e-14)
 
 
 def test_an_estimate_of_ten_times_the_error_counts_a_hundredth():

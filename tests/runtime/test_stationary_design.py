@@ -105,10 +105,10 @@ def test_what_is_predicted_does_not_depend_on_the_coordinates_of_the_states(prob
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(problem=minimum_phase_systems(), order=st.integers(1, 3), H=st.sampled_from([1e-3, 1e-2]))
 def test_the_gain_of_any_minimum_phase_plant_is_that_of_the_riccati_equation(problem, order, H):
-    found, known = tuned(outputs_first(problem.linear), H=H, order=order, sigma=1e-3)
+    found, _ = tuned(outputs_first(problem.linear), H=H, order=order, sigma=1e-3)
     # In units in which the covariance is near one, where SciPy's general solver can be trusted.
     scale = np.linalg.norm(found.prior_factor, axis=1)
-    Phi, C = found.discrete.Phi * scale / scale[:, None], np.linalg.solve(known.R_factor, found.system.C * scale)
+    Phi, C = found.discrete.Phi * scale / scale[:, None], np.linalg.solve(found.sample_factor, found.system.C * scale)
     Q = found.noise_factor / scale[:, None]
     exact = scipy.linalg.solve_discrete_are(Phi.T, C.T, Q @ Q.T, np.eye(len(C)))
     own = found.prior_factor / scale[:, None]
