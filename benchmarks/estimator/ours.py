@@ -145,7 +145,7 @@ def published_intensity(plant: Plant, H: float, order: int = 2, **fmu_parameters
     """Return the intensity of the white noise behind d^{(r)} that ours works with at the step H (s)."""
     slave = _QuietObserver(_equations(plant))
     slave.begin(parameters_of(plant, disturbance_order=order, **fmu_parameters))
-    return float(slave.observer.designs.intensities(H).disturbance[0])  # type: ignore[attr-defined]
+    return float(slave.observer.tuned(H).intensities.disturbance[0])  # type: ignore[attr-defined]
 
 
 def plant_run(plant: Plant, H: float, U: Array) -> Array:
