@@ -52,6 +52,20 @@ def sampled(F: Array, channel: Array, H: float) -> tuple[Array, Array]:
     return Phi, noise
 
 
+def responses(F: Array, channel: Array, durations: list[float]) -> list[Array]:
+    """Return e^{Ft} g (N,g) for each of the durations t > 0 (s)."""
+    if float(np.max(np.sum(np.abs(F), axis=0))) * max(durations) > _RADIUS:
+        return [np.asarray(exponential(F * t) @ channel) for t in durations]
+    results = [channel.copy() for _ in durations]
+    term, powers = channel, [1.0] * len(durations)
+    for k in range(1, _TERMS):
+        term = F @ term / k
+        for i, t in enumerate(durations):
+            powers[i] *= t
+            results[i] = results[i] + powers[i] * term
+    return results
+
+
 def _short(F: Array, channel: Array, h: float) -> Array:
     terms = np.empty((_TERMS, *channel.shape))
     term = channel * np.sqrt(h)

@@ -121,15 +121,13 @@ def has_converged(
 def frozen_memory(model: FilterModel, memory: FilterMemory, design: StepDesign) -> FilterMemory:
     """Return the memory that stays the same while the gain is frozen."""
     stationary = design.stationary
+    if stationary.system.order == 0:
+        return replace(memory, factor=stationary.prior_factor, converged=True)
     spacing = max(1, round(model.jump_spacing / design.H))
     signatures = []
-    mu = model.newest_jump
-    for age in range(LENGTH * spacing + 1):
-        mu = stationary.discrete.Phi @ mu
+    mu = model.jumps_in_step(stationary.system.A, design.H)
+    for age in range(LENGTH * spacing):
         if age % spacing == 0:
             signatures.append(mu)
-        mu = mu - stationary.K @ (stationary.system.C @ mu)
-    bank = full_bank(signatures[LENGTH - 1 :: -1] if len(signatures) >= LENGTH else signatures[::-1])
-    return replace(
-        memory, factor=stationary.prior_factor, jumps=bank if stationary.system.order else memory.jumps, converged=True
-    )
+        mu = stationary.discrete.Phi @ (mu - stationary.K @ (stationary.system.C @ mu))
+    return replace(memory, factor=stationary.prior_factor, jumps=full_bank(signatures[::-1]), converged=True)

@@ -9,9 +9,10 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.numerics.transition import responses
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
-from ndob_fmu.runtime.step.jump_bank import variances
+from ndob_fmu.runtime.step.jump_bank import INSTANTS, inverse_variances
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.settings import ObserverSettings
 
@@ -56,9 +57,9 @@ class FilterModel:
         return np.array(self.settings.disturbance_bound, dtype=float)
 
     @cached_property
-    def jump_variances(self) -> Array:
-        """V of the jump hypotheses (L q2,)."""
-        return variances(self.bound)
+    def jump_precision(self) -> Array:
+        """W of the jump hypotheses (2 L q2,3)."""
+        return inverse_variances(self.bound)
 
     @property
     def adapts(self) -> bool:
@@ -102,12 +103,14 @@ class FilterModel:
             mask[self.layout.parameters] = 0.0
         return mask
 
-    @cached_property
-    def newest_jump(self) -> Array:
-        """Return the signatures (N + past,q2) of a jump of each disturbance at this sample."""
-        newest = np.zeros((self.rows, self.layout.q))
-        if self.layout.order:
-            newest[self.layout.disturbance] = np.eye(self.layout.q)
+    def jumps_in_step(self, F: Array, H: float) -> Array:
+        """Return the responses (N + past,4 q2) at the end of a step H (s) to jumps in it, for slopes F (N,N) of ẋ."""
+        layout = self.layout
+        channel = np.zeros((layout.size, layout.q))
+        channel[layout.disturbance] = np.eye(layout.q)
+        at_end = responses(F, channel, [(1.0 - instant) * H for instant in INSTANTS])
+        newest = np.zeros((self.rows, layout.q * len(INSTANTS)))
+        newest[: layout.size] = np.stack(at_end, axis=2).reshape(layout.size, -1)
         return newest
 
     def with_parameters(self, xi: Array) -> Vector:

@@ -10,11 +10,11 @@ from ndob_fmu.runtime.generated_steps import Numbers
 
 @dataclass(frozen=True)
 class JumpBank:
-    """Hypotheses that the disturbance jumped, one for each of the last samples and each disturbance, (L q2,).
+    """Hypotheses that a disturbance jumped in one of the last steps: at its sample, and inside the step.
 
-    signatures (N + past,L q2): what a jump of one has added to the error of ξ̂ until now.
-    evidence, precision (L q2,): of the size of the jump, from the innovations since: Σ ρ e/α and Σ ρ²/α.
-    log_weight (L q2,): logarithm of the weight without that evidence, over that of no jump; −∞ for an empty place.
+    signatures (N + past,6 L q2): what jumps of one at up to three instants have added to the error of ξ̂ until now.
+    evidence (2 L q2,3), precision (2 L q2,3,3): of their sizes, from the innovations since: Σ ρ e/α and Σ ρ ρᵀ/α.
+    log_weight (2 L q2,): logarithm of the weight without that evidence, over that of no jump; −∞ for an empty place.
     newest_age: time since the last hypotheses were added (s).
     """
 

@@ -1,12 +1,13 @@
-"""Jumps of the disturbance: a bank of hypotheses, one for each of the last samples (Willsky and Jones, 1976).
+"""Jumps of the disturbance: a bank of hypotheses, two for each of the last steps (Willsky and Jones, 1976).
 
-If d jumped by ν at a sample, the filter that does not know it is wrong by μ ν, with μ its signature, and its
-innovations have the mean ρ ν. So the filter of a hypothesis is the one filter plus a correction of rank one,
+A jump of d adds μ ν to the error of ξ̂, with μ the response to a jump of one. The first hypothesis is a jump at the
+sample. The second is one inside the step; it stands as jumps at the three nodes of Gauss and Legendre, of independent
+sizes with the variances w_i V, which gives the covariance of a jump at any instant. The filter that does not know it
+has innovations of the mean ρᵀν, and that of the hypothesis is the one filter plus a correction,
 
-    ν̂ = a/(b + 1/V),   ξ̂ + μ ν̂,   P + μ μᵀ/(b + 1/V),   a = Σ ρ e/α,   b = Σ ρ²/α,
+    ν̂ = (B + W)⁻¹ a,   ξ̂ + M ν̂,   P + M (B + W)⁻¹ Mᵀ,   a = Σ ρ e/α,   B = Σ ρ ρᵀ/α,   W = diag(1/(w_i V)),
 
-with α the variance of an innovation and V the variance of a jump before it shows. Its weight over no jump is
-p exp(½ a²/(b + 1/V))/√(1 + b V).
+with α the variance of an innovation. Its weight over no jump is p exp(½ aᵀν̂)/√det(I + W⁻¹ B).
 """
 
 from __future__ import annotations
@@ -19,15 +20,20 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.filter_state import JumpBank
 
 # A jump is expected every three hundredth sample. It may be as large as from one bound to the other: V = 2 D₀².
-_LOG_PROBABILITY = float(np.log(0.003))
+_LOG_PROBABILITIES = np.log(0.003 * np.array([0.7, 0.3]))  # at the sample, within the step
 _VARIANCE = 2.0
 LENGTH = 12
+# The instants of a jump, in parts of the step, and their weights.
+INSTANTS = (0.0, 0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5)
+_NODES = 3
+_NONE = 1e-200  # stands for the weight of a node that a hypothesis does not have
+_WEIGHTS = np.array([[1.0, _NONE, _NONE], [5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0]])
+_KINDS = len(_WEIGHTS)
 # Hypotheses of less weight are not worth a correction; those of more replace the filter's state.
 _MENTIONED, _CERTAIN = 0.3, 0.95
+_SOME = 4.0  # a smaller aᵀν̂ leaves every weight below that
 # Without evidence, a jump before more samples than these would have shown.
 _UNSEEN = 3
-# A jump inside a step lies anywhere in it: the standard deviation of a number between 0 and 1.
-_WITHIN_STEP = 0.29
 
 
 @dataclass(frozen=True)
@@ -46,74 +52,107 @@ class Mixture:
 
 def empty_bank(rows: int, q: int) -> JumpBank:
     """Return a bank without hypotheses."""
-    size = LENGTH * q
-    return JumpBank(np.zeros((rows, size)), np.zeros(size), np.zeros(size), np.full(size, -np.inf), np.inf)
+    size = LENGTH * q * _KINDS
+    return JumpBank(
+        signatures=np.zeros((rows, size * _NODES)),
+        evidence=np.zeros((size, _NODES)),
+        precision=np.zeros((size, _NODES, _NODES)),
+        log_weight=np.full(size, -np.inf),
+        newest_age=np.inf,
+    )
 
 
 def full_bank(signatures: list[Array]) -> JumpBank:
-    """Return a bank without evidence, from L signatures (rows,q2), the oldest first."""
-    joined = np.hstack(signatures)
-    size = joined.shape[1]
-    weights = np.full(size, -np.inf)
-    weights[-_UNSEEN * signatures[0].shape[1] :] = _LOG_PROBABILITY
-    return JumpBank(joined, np.zeros(size), np.zeros(size), weights, 0.0)
+    """Return a bank without evidence, from L signatures (rows,4 q2) of jumps at the instants, the oldest first."""
+    joined = np.hstack([_hypotheses(each) for each in signatures])
+    bank = empty_bank(len(joined), joined.shape[1] // (LENGTH * _NODES * _KINDS))
+    weights = np.tile(_LOG_PROBABILITIES, len(bank.log_weight) // _KINDS)
+    weights[: -_UNSEEN * len(weights) // LENGTH] = -np.inf
+    return replace(bank, signatures=joined, log_weight=weights, newest_age=0.0)
 
 
-def variances(disturbance_bound: Array) -> Array:
-    """Return V (L q2,) of each hypothesis, for D₀ (q2,)."""
-    return np.tile(_VARIANCE * disturbance_bound**2, LENGTH)
+def inverse_variances(disturbance_bound: Array) -> Array:
+    """Return W (2 L q2,3) of each hypothesis, for D₀ (q2,)."""
+    V = np.tile(_VARIANCE * disturbance_bound**2, LENGTH)
+    return np.asarray(1.0 / (V[:, None, None] * _WEIGHTS).reshape(-1, _NODES))
 
 
-def gain(evidence: Array, precision: Array, V: Array) -> Array:
-    """Return the logarithm of what the evidence adds to the weights (L q2,)."""
-    return np.asarray(0.5 * evidence**2 / (precision + 1.0 / V) - 0.5 * np.log1p(precision * V))
+def gain(evidence: Array, precision: Array, W: Array) -> Array:
+    """Return the logarithm of what the evidence adds to the weights (2 L q2,)."""
+    _, size, log_determinant = _solved(evidence, precision, W)
+    return np.asarray(0.5 * np.sum(evidence * size, axis=1) - 0.5 * (log_determinant - np.sum(np.log(W), axis=1)))
 
 
-def mixture(bank: JumpBank, V: Array) -> Mixture:
+def mixture(bank: JumpBank, W: Array) -> Mixture:
     """Return mean and variance of the correction by all hypotheses, no jump included."""
-    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, V)
+    rows = len(bank.signatures)
+    nothing = Mixture(np.zeros(rows), np.zeros(rows), -1)
+    diagonal = np.diagonal(bank.precision, axis1=1, axis2=2) + W
+    if float(np.max(np.sum(bank.evidence**2 / diagonal, axis=1))) < _SOME:
+        return nothing
+    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, W)
     top = max(float(np.max(log_weights)), 0.0)
     weights = np.exp(log_weights - top)
     weights = weights / (np.exp(-top) + np.sum(weights))
     total = float(np.sum(weights))
-    rows = len(bank.signatures)
     if total <= _MENTIONED:
-        return Mixture(np.zeros(rows), np.zeros(rows), -1)
-    variance = 1.0 / (bank.precision + 1.0 / V)
-    size = bank.evidence * variance
-    shift = bank.signatures @ (weights * size)
-    square = bank.signatures**2 @ (weights * (variance + size**2))
-    certain = int(np.argmax(weights)) if total > _CERTAIN else -1
-    return Mixture(shift, np.maximum(square - shift**2, 0.0), certain)
+        return nothing
+    factor, size, _ = _solved(bank.evidence, bank.precision, W)
+    signatures = bank.signatures.reshape(rows, -1, _NODES)
+    each = np.einsum("rhk,hk->rh", signatures, size)
+    spread = np.sum(np.einsum("rhk,hjk->rhj", signatures, np.linalg.inv(factor)) ** 2, axis=2)
+    shift = each @ weights
+    best = int(np.argmax(weights))
+    # The first sample after a jump cannot tell its size from its instant.
+    settled = best < len(weights) - len(weights) // LENGTH
+    certain = best if total > _CERTAIN and settled else -1
+    return Mixture(shift, np.maximum((spread + each**2) @ weights - shift**2, 0.0), certain)
 
 
-def accept(bank: JumpBank, chosen: int, V: Array, newest: Array) -> tuple[Array, Array]:
-    """Return what a certain hypothesis adds to ξ̂ (rows,), and the columns (rows,2) that it adds to the factor of P.
-
-    newest (rows,q2): the signatures of jumps at the sample itself. The second column stands for the time of the jump,
-    which lies anywhere between two samples.
-    """
-    q = newest.shape[1]
-    following = np.hstack([bank.signatures, newest])[:, chosen + q]
-    variance = 1.0 / (bank.precision[chosen] + 1.0 / V[chosen])
-    signature, size = bank.signatures[:, chosen], bank.evidence[chosen] * variance
-    columns = np.column_stack([signature * np.sqrt(variance), (signature - following) * abs(size) * _WITHIN_STEP])
-    return signature * size, columns
+def accept(bank: JumpBank, chosen: int, W: Array) -> tuple[Array, Array]:
+    """Return what a certain hypothesis adds to ξ̂ (rows,), and the columns (rows,3) that it adds to the factor of P."""
+    factor, size, _ = _solved(
+        bank.evidence[chosen : chosen + 1], bank.precision[chosen : chosen + 1], W[chosen : chosen + 1]
+    )
+    signatures = bank.signatures[:, chosen * _NODES : (chosen + 1) * _NODES]
+    return signatures @ size[0], signatures @ np.linalg.inv(factor[0]).T
 
 
 def with_newest(bank: JumpBank, newest: Array, spacing: float) -> JumpBank:
-    """Return the bank with the hypotheses of a jump at this sample in place of the oldest.
+    """Return the bank with the hypotheses of a jump in this step in place of the oldest, at the end of the step.
 
-    Where the last ones are nearer than the spacing (s), a jump between cannot be told from them, and nothing is added.
+    newest (rows,4 q2): the responses to jumps of each disturbance at the instants
+    spacing: where the last ones are nearer than this (s), a jump between cannot be told from them
     """
     if bank.newest_age < spacing * (1.0 - 1e-9):
         return bank
-    q = newest.shape[1]
-    return replace(
-        bank,
+    added = _hypotheses(newest)
+    count = added.shape[1] // _NODES
+    return JumpBank(
+        signatures=np.hstack([bank.signatures[:, added.shape[1] :], added]),
+        evidence=np.concatenate([bank.evidence[count:], np.zeros((count, _NODES))]),
+        precision=np.concatenate([bank.precision[count:], np.zeros((count, _NODES, _NODES))]),
+        log_weight=np.append(bank.log_weight[count:], np.tile(_LOG_PROBABILITIES, count // _KINDS)),
         newest_age=0.0,
-        signatures=np.hstack([bank.signatures[:, q:], newest]),
-        evidence=np.concatenate([bank.evidence[q:], np.zeros(q)]),
-        precision=np.concatenate([bank.precision[q:], np.zeros(q)]),
-        log_weight=np.concatenate([bank.log_weight[q:], np.full(q, _LOG_PROBABILITY)]),
     )
+
+
+def _hypotheses(newest: Array) -> Array:
+    """Return the signatures (rows,6 q2) of both kinds of hypotheses, from responses (rows,4 q2) to jumps."""
+    rows = len(newest)
+    each = newest.reshape(rows, -1, len(INSTANTS))
+    both = np.zeros((rows, each.shape[1], _KINDS, _NODES))
+    both[:, :, 0, 0] = each[:, :, 0]
+    both[:, :, 1] = each[:, :, 1:]
+    return both.reshape(rows, -1)
+
+
+def _solved(evidence: Array, precision: Array, W: Array) -> tuple[Array, Array, Array]:
+    """Return the Cholesky factors of B + W (h,3,3), ν̂ (h,3) and log det (B + W) (h,)."""
+    total = precision.copy()
+    for i in range(_NODES):
+        total[:, i, i] += W[:, i]
+    factor = np.linalg.cholesky(total)
+    size = np.linalg.solve(total, evidence[:, :, None])[:, :, 0]
+    log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
+    return factor, size, log_determinant

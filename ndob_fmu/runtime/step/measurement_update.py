@@ -108,16 +108,17 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         if not measured[i] or row is None:
             continue
         error = e[i] - float(row @ (xi - prior))
-        seen = row @ factor
-        alpha = float(seen @ seen) + noise[i]
+        spread = row @ factor
+        alpha = float(spread @ spread) + noise[i]
         squared = error * error / alpha
         if not (stale and repeats[i]):
             mean[i] += (min(max(error / sqrt(alpha), -_LIMIT), _LIMIT) - mean[i]) / _LATEST
         far = squared > SUSPICIOUS**2
         suspicious = suspicious or far
-        seen_jump = row @ signatures
-        evidence_if_good = evidence + seen_jump * (error / alpha)
-        precision_if_good = precision + seen_jump**2 / alpha
+        of_jumps = row @ signatures
+        rho = of_jumps.reshape(evidence.shape)
+        evidence_if_good = evidence + rho * (error / alpha)
+        precision_if_good = precision + rho[:, :, None] * rho[:, None, :] / alpha
         if not refused[i]:
             repeat_rate[i] += (repeats[i] - repeat_rate[i]) / MEMORY
         sample[i] = y[i]
@@ -137,12 +138,12 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             if verdict.refused:
                 fault = True
                 good = verdict.if_good + (
-                    gain(evidence_if_good, precision_if_good, model.jump_variances)
-                    - gain(evidence, precision, model.jump_variances)
+                    gain(evidence_if_good, precision_if_good, model.jump_precision)
+                    - gain(evidence, precision, model.jump_precision)
                 )
                 better = good > verdict.if_faulty
-                evidence = np.where(better, evidence_if_good, evidence)
-                precision = np.where(better, precision_if_good, precision)
+                evidence = np.where(better[:, None], evidence_if_good, evidence)
+                precision = np.where(better[:, None, None], precision_if_good, precision)
                 log_weight = log_weight + np.where(better, verdict.if_good - verdict.if_faulty, 0.0)
                 fresh = debt[i] == 0.0
                 skipped[i] = error * error if fresh else 0.5 * (skipped[i] + error * error)
@@ -158,22 +159,22 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
                 if not repeats[i]:
                     # Little of an outlier is used; more of a sample that only a wrong estimate makes look like one.
                     weak = squared / SUSPICIOUS**2 * alpha
-                    K = (factor @ seen) / weak * model.estimated
-                    signatures = signatures - K[:, None] * seen_jump
+                    K = (factor @ spread) / weak * model.estimated
+                    signatures = signatures - K[:, None] * of_jumps
                     lagged = smoothed(lagged, row, K, error, weak)
                     xi = xi + K * error
-                    factor = factor - K[:, None] * seen
+                    factor = factor - K[:, None] * spread
                     factor[:, columns + i] = K * sqrt(noise[i] + weak - alpha)
                 continue
         refused[i] = False
         used[i] = True
         debt[i] *= _DEBT_LEFT
-        K = (factor @ seen) / alpha * model.estimated
+        K = (factor @ spread) / alpha * model.estimated
         evidence, precision = evidence_if_good, precision_if_good
-        signatures = signatures - K[:, None] * seen_jump
+        signatures = signatures - K[:, None] * of_jumps
         lagged = smoothed(lagged, row, K, error, alpha)
         xi = xi + K * error
-        factor = factor - K[:, None] * seen
+        factor = factor - K[:, None] * spread
         factor[:, columns + i] = K * sqrt(noise[i])
         squares[i] += (squared - squares[i]) / MEMORY
         weight = 0.0 if abs(mean[i]) > _BIASED else min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
@@ -196,10 +197,12 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         waited=np.where(used, 0.0, sensors.waited),
         interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 2.0 / MEMORY)), sensors.interval),
     )
-    added = mixture(bank, model.jump_variances)
+    added = mixture(bank, model.jump_precision)
+    if added.shift.any():
+        # What a jump explains tells nothing of the noise.
+        sensors = replace(sensors, noise_ratio=memory.sensors.noise_ratio, counted=memory.sensors.counted)
     if added.certain >= 0:
-        newest = model.newest_jump
-        shift, more = accept(bank, added.certain, model.jump_variances, newest)
+        shift, more = accept(bank, added.certain, model.jump_precision)
         xi = xi + shift
         factor = np.hstack([factor, more])
         bank = empty_bank(len(xi), model.layout.q)
@@ -212,7 +215,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             refused=np.zeros(p, dtype=bool),
             waited=np.where(used, 0.0, sensors.waited),
         )
-        added = mixture(bank, model.jump_variances)
+        added = mixture(bank, model.jump_precision)
     return Measured(
         xi=xi,
         factor=factor,

@@ -33,8 +33,10 @@ _MOST_PARTS = 8
 
 def predict(
     model: FilterModel, xi: Array, factor: Array, u: Vector, H: float, intensity: Array, *, starting: bool
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Return ξ̂⁻ (N + past,), the factor (N + past,N + past) and Φ (N,N) a step H (s) later.
+
+    The fourth result (N + past,4 q2) are the responses there to jumps of d within the step.
 
     intensity (q2,): of the noise behind the r-th derivative of d
     starting: whether ξ̂ may be far off
@@ -45,7 +47,7 @@ def predict(
     change = float(np.max(np.sum(np.abs(F_end - F), axis=0))) * H
     if not change <= _STRAIGHT:
         parts = int(min(np.ceil(change / _STRAIGHT), _MOST_PARTS)) if np.isfinite(change) else _MOST_PARTS
-        whole = np.eye(len(F))
+        whole, jumps = np.eye(len(F)), model.jumps_in_step(0.5 * (F + F_end), H)
         for _ in range(parts):
             end = predict_mean(model, xi, u, H / parts)
             F_end = model.slopes(end, u).F
@@ -53,9 +55,9 @@ def predict(
                 model, xi, factor, u, H / parts, channel, 0.5 * (F + F_end), starting=starting
             )
             whole, xi, F = Phi @ whole, end, F_end
-        return end, factor, whole
+        return end, factor, whole, jumps
     Phi, factor = _predict_factor(model, xi, factor, u, H, channel, 0.5 * (F + F_end), starting=starting)
-    return end, factor, Phi
+    return end, factor, Phi, model.jumps_in_step(0.5 * (F + F_end), H)
 
 
 def _predict_factor(

@@ -48,17 +48,18 @@ def step_with_covariance(
         d_lagged_std = np.minimum(d_lagged_std, model.bound)
 
     jumps = measured.jumps
-    if memory.age >= layout.size:
-        jumps = with_newest(jumps, model.newest_jump, model.jump_spacing)
     past_age = memory.past_age
     if model.delayed:
         xi, factor, jumps, lagged, past_age = _with_this_sample(model, xi, factor, jumps, lagged, past_age, u, H)
     starting = memory.age < model.start_samples
-    after, factor, Phi = predict(model, xi, factor, u, H, intensity, starting=starting)
+    after, factor, Phi, newest = predict(model, xi, factor, u, H, intensity, starting=starting)
     published = after + ahead(model, Phi, measured.mixture.shift[:, None])[:, 0]
     spread_after = (Phi**2) @ spread[: layout.size]
     d_std = np.minimum(np.sqrt(np.sum(factor[d] ** 2, axis=1) + spread_after[d]), model.bound)
 
+    jumps = replace(jumps, signatures=ahead(model, Phi, jumps.signatures), newest_age=min(jumps.newest_age + H, _LONG))
+    if memory.age >= layout.size:
+        jumps = with_newest(jumps, newest, model.jump_spacing)
     interval = np.where(measured.sensors.interval > 0.0, measured.sensors.interval, H)
     sensors = replace(measured.sensors, waited=measured.sensors.waited + H, interval=interval)
     lost = memory.lost and memory.age < model.start_samples
@@ -76,9 +77,7 @@ def step_with_covariance(
             factor=factor,
             past=after[N:],
             past_age=past_age,
-            jumps=replace(
-                jumps, signatures=ahead(model, Phi, jumps.signatures), newest_age=min(jumps.newest_age + H, _LONG)
-            ),
+            jumps=jumps,
             sensors=sensors,
             lagged=replace(
                 lagged,
