@@ -120,23 +120,25 @@ def left_out(model: FilterModel, xi: Array, factor: Array, u: Vector, H: float) 
     """
     layout, eq = model.layout, model.equations
     n = layout.n
-    d = tuple(xi[layout.disturbance].tolist()) or (0.0,) * layout.q
-    parameters = model.with_parameters(xi)
 
-    def rate(x: Array) -> Array:
+    def rate(xi: Array) -> Array:
+        parameters = list(model.parameters)
+        for place, index in enumerate(layout.uncertain):
+            parameters[index] = float(xi[layout.parameters.start + place])
+        d = xi[layout.disturbance].tolist() or [0.0] * layout.q
         try:
-            return np.array(eq.derivatives(x.tolist(), u, d, parameters), dtype=float)
+            return np.array(eq.derivatives(xi[:n].tolist(), u, d, parameters), dtype=float)
         except (ArithmeticError, ValueError):
             return np.full(n, np.nan)
 
-    x = xi[:n]
-    centre = 2.0 * rate(x)
-    lower = triangular(factor)[:n, : layout.size]
+    at = xi[: layout.size]
+    centre = 2.0 * rate(at)
+    lower = triangular(factor)[: layout.size, : layout.size]
     count = 1 << (layout.size - 1).bit_length()
     columns = np.zeros((layout.size, count))
     for k in range(count):
         along = lower @ _signs(k, layout.size)
-        bend = rate(x + along) + rate(x - along) - centre
+        bend = rate(at + along) + rate(at - along) - centre
         columns[:n, k] = np.where(np.isfinite(bend), bend, 0.0)
     return np.asarray(_SECOND_ORDER * H / np.sqrt(count) * columns)
 
