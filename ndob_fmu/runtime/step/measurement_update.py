@@ -195,7 +195,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         drift=drift,
         mean=mean,
         waited=np.where(used, 0.0, sensors.waited),
-        interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 2.0 / MEMORY)), sensors.interval),
+        interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 0.5 / MEMORY)), sensors.interval),
     )
     added = mixture(bank, model.jump_precision)
     if added.shift.any():
