@@ -88,6 +88,7 @@ def test_on_a_linear_plant_the_kalman_filter_is_this_packages_observer(order):
         x_std=[1.0] * n,
         alpha=1.0,
         pi=1e12,
+        adapt_noise=False,
     )
     solution = solve_ivp(
         lambda t, x: linear.A @ x + linear.G_d[:, 0] * np.sin(2.0 * np.pi * t),
@@ -98,14 +99,14 @@ def test_on_a_linear_plant_the_kalman_filter_is_this_packages_observer(order):
         atol=1e-11,
     )
     samples = solution.y.T @ linear.C.T + sigma * np.random.default_rng(2).normal(size=(steps, p))
-    intensity = tuned_intensities(observer.system, H, 1.0, observer.known).disturbance
+    tuned = tuned_intensities(observer.system, H, 1.0, observer.known)
     kalman = extended_kalman_filter(
         linear_system(linear.A, linear.C, linear.G_d),
         order,
         H,
         samples[None],
-        noise_std=np.full((1, p), sigma),
-        intensity=intensity[None],
+        noise_std=np.full((1, p), sigma * tuned.scale),
+        intensity=tuned.disturbance[None] * tuned.scale**2,
         x_hat=np.zeros(n),
         prior_std=np.concatenate([np.ones(n), D0 * (rate / D0) ** (np.arange(order) / order)]),
     )
