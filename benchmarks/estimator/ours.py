@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -34,6 +35,7 @@ class _Quiet(Slave):
     """A slave in this process; what it logs is kept, but for warnings."""
 
     messages: list[str]
+    seconds: Array
 
     def __init__(self, equations: Equations) -> None:
         self.messages = []
@@ -63,16 +65,22 @@ class _Quiet(Slave):
             raise RefusedError(self.messages[-1])
 
     def run(self, rows: Array, names: Sequence[str], steps: Array) -> Array:
-        """Step with a row (K,len(names)) of inputs each and return the outputs (K,…) at the ends of the steps (K,)."""
+        """Step with a row (K,len(names)) of inputs each and return the outputs (K,…) at the ends of the steps (K,).
+
+        `seconds` then has the processor's time of each step, which other programs hardly change.
+        """
         at = self.variables.stretch(names)
         found = np.empty((len(rows), len(self.variables.present[self.variables.outputs])))
+        self.seconds = np.empty(len(rows))
         t = 0.0
         for k, H in enumerate(steps.tolist()):
+            begin = time.process_time()
             self.variables.present[at] = rows[k].tolist()
             if not self.do_step(t, H):
                 raise RefusedError(self.messages[-1] if self.messages else "a step without a message")
             found[k] = self.variables.present[self.variables.outputs]
             t += H
+            self.seconds[k] = time.process_time() - begin
         return found
 
 
@@ -107,8 +115,8 @@ def ours(plant: Plant, H: float, U: Array, Y: Array, T: Array | None = None, **f
     U (K,m), Y (K,p): inputs and samples
     fmu_parameters: by the FMU's names, in place of the usual ones; `disturbance_order` changes the rate too
 
-    Returns at, ahead, std (K,q), valid (K,), residual, residual_std (K,p), x_hat (K,n), and lagged, lagged_std (K,q)
-    and consistency (K,) where the FMU has them.
+    Returns at, ahead, std (K,q), valid (K,), residual, residual_std (K,p), x_hat (K,n), seconds (K,) of each step, and
+    lagged, lagged_std (K,q) and consistency (K,) where the FMU has them.
     Raises NotAvailableError for a parameter that the FMU has not, RefusedError where it logs an error.
     """
     slave, model = _QuietObserver(_equations(plant)), plant.model()
@@ -129,6 +137,7 @@ def ours(plant: Plant, H: float, U: Array, Y: Array, T: Array | None = None, **f
     found["residual"] = columns([f"{y}_residual" for y in model.outputs])
     found["residual_std"] = columns([f"{y}_residual_std" for y in model.outputs])
     found["valid"] = columns(["valid"])[:, 0] == 1.0
+    found["seconds"] = slave.seconds
     if "consistency" in names:
         found["consistency"] = columns(["consistency"])[:, 0]
     return found
@@ -148,9 +157,13 @@ def published_intensity(plant: Plant, H: float, order: int = 2, **fmu_parameters
     return float(slave.observer.tuned(H).intensities.disturbance[0])  # type: ignore[attr-defined]
 
 
-def plant_run(plant: Plant, H: float, U: Array) -> Array:
-    """Step the plant FMU's slave without disturbance and return its states (K,n) at the ends of the steps."""
+def plant_run(plant: Plant, H: float, U: Array) -> tuple[Array, Array]:
+    """Step the plant FMU's slave without disturbance.
+
+    Returns its states (K,n) at the ends of the steps, and the processor's time of each step (K,), in s.
+    """
     slave, model = _QuietPlant(_equations(plant)), plant.model()
     slave.begin({f"{x}_start": float(value) for x, value in zip(model.states, plant.x0, strict=True)})
     names = [v.name for v in slave.variables.declared if v.causality == "output"]
-    return slave.run(U, list(model.inputs), np.full(len(U), H))[:, [names.index(x) for x in model.states]]
+    rows = slave.run(U, list(model.inputs), np.full(len(U), H))
+    return rows[:, [names.index(x) for x in model.states]], slave.seconds

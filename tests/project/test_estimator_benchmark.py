@@ -283,7 +283,8 @@ def test_a_parameter_that_the_fmu_has_not_is_named():
 
 def test_the_plant_fmu_takes_the_inputs_step_by_step():
     record = short_record(CYLINDER, seeds=(1,), sigma=0.0 * CYLINDER.sigma, disturbance=lambda t: 0.0)
-    path = plant_run(CYLINDER, H, record.U[0])
+    path, seconds = plant_run(CYLINDER, H, record.U[0])
+    assert seconds.shape == record.t.shape
     np.testing.assert_allclose((path @ CYLINDER.C.T)[:-1], record.Y[0, 1:], rtol=0, atol=1e-8)
 
 
