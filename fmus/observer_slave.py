@@ -6,12 +6,15 @@ from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
 
+from pythonfmu.enums import Fmi2Status
+
 from fmus.slave_base import Slave
 from ndob_fmu.interface.model_variables import METHODS, for_each_disturbance, observer_variables
 from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_rate
 from ndob_fmu.runtime.design.schedule import PiSchedule
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.design.separability import inseparable_offsets, inseparable_parameters
+from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.numerics.hold import History
 from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
 from ndob_fmu.runtime.step.filter_state import (
@@ -34,14 +37,8 @@ class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
     state_types = (
-        SampledObserverState,
-        FilterMemory,
-        JumpBank,
-        SensorMemory,
-        LagMemory,
-        PaperObserverState,
-        History,
-        ChannelState,
+        *(SampledObserverState, FilterMemory, JumpBank, SensorMemory, LagMemory),
+        *(PaperObserverState, History, ChannelState),
     )
 
     def __init__(self, equations: Equations, **kwargs: Any) -> None:
@@ -63,6 +60,7 @@ class ObserverSlave(Slave):
             self.values(self.equations.parameters),
             observer,
             disturbance_bound=self._for_disturbances("disturbance_bound"),
+            lag=0.0 if quick is None else self.value("lag"),
         )
         # A channel that depends on the state is read out after each step, which the quick step would leave out.
         self._step_converged = quick if self.observer is observer else None
@@ -110,20 +108,55 @@ class ObserverSlave(Slave):
         )
 
     def _sampled(self) -> SampledObserver:
+        plant, parameters = lumped(self.equations), self.values(self.equations.parameters)
         order = self.value("disturbance_order")
         bound, rate = (self._for_disturbances(name) for name in ("disturbance_bound", "disturbance_rate"))
-        equations = lumped(self.equations)
+        x_hat, x_std = self._for_states("hat_start"), self._for_states("hat_start_std")
+        sensors = {name: self._for_outputs(name) for name in ("noise_std", "delay", "bias_std")}
+        parameter_std = self.values(f"{name}_std" for name in plant.parameters)
+        self._warn_of_offsets(plant, parameters, x_hat, sensors["bias_std"])
         settings = observer_settings(
-            equations,
+            plant,
+            **sensors,
             order=order,
-            noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, bound),
             disturbance_rate=lumped_rate(self.equations, bound, rate, order=order),
-            x_std=self._for_states("hat_start_std"),
+            x_std=x_std,
+            parameter_std=parameter_std,
+            adapt_noise=self.value("adapt_noise"),
+            estimated=self._estimated(plant, parameters, x_hat, x_std, parameter_std),
+            lag=self.value("lag"),
             alpha=self.value("alpha"),
             pi=self.value("pi_end"),
         )
-        return sampled_observer(equations, self.values(equations.parameters), settings, self._for_states("hat_start"))
+        return sampled_observer(plant, parameters, settings, x_hat)
+
+    def _warn_of_offsets(self, plant: Equations, parameters: Vector, x_hat: Vector, bias_std: Vector) -> None:
+        """Log which offsets of sensors a constant disturbance explains as well."""
+        biased = [i for i, std in enumerate(bias_std) if std > 0.0]
+        for i in inseparable_offsets(plant, parameters, x_hat, biased) if biased else ():
+            name, disturbances = plant.outputs[i], " or ".join(self.equations.disturbances)
+            self.log(
+                f"{name}_bias_std: in the outputs a constant offset of {name} looks like a constant {disturbances} or "
+                f"another offset; the samples cannot tell them apart",
+                Fmi2Status.warning,
+            )
+
+    def _estimated(
+        self, plant: Equations, parameters: Vector, x_hat: Vector, x_std: Vector, parameter_std: Vector
+    ) -> list[bool]:
+        """Return which parameters are estimated; log which cannot be told from a disturbance and are not."""
+        wanted = [self.value("estimate_parameters") and std > 0.0 for std in parameter_std]
+        uncertain = [i for i, one in enumerate(wanted) if one]
+        names, disturbances = list(plant.parameters), " or ".join(self.equations.disturbances)
+        for i in inseparable_parameters(plant, parameters, x_hat, x_std, uncertain) if uncertain else ():
+            wanted[i] = False
+            self.log(
+                f"estimate_parameters: {names[i]} is not estimated, because a wrong one has the effect of a "
+                f"{disturbances}; {names[i]}_std widens the error bars only",
+                Fmi2Status.warning,
+            )
+        return wanted
 
     def _for_states(self, suffix: str) -> list[float]:
         return self.values(f"{name}_{suffix}" for name in self.equations.states)

@@ -14,6 +14,7 @@ import numpy as np
 from ndob_fmu.analysis.check_report import CheckReport, CheckRow
 from ndob_fmu.analysis.direction import shortest_direction
 from ndob_fmu.analysis.lipschitz import largest_slope
+from ndob_fmu.analysis.separable import separability_rows
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model, require_model
@@ -55,6 +56,7 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
         *_zero_rows(system, float(chosen)),
         _lipschitz(model, parameters),
         *_direction(model, parameters),
+        *separability_rows(model, parameters),
     )
     return CheckReport(model=model.name, alpha=float(chosen), rows=rows)
 

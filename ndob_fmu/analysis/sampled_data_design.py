@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.analysis.certificate import Certificate, certify
+from ndob_fmu.analysis.error_bars import settled_error_bars
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.lumping import lumped
-from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error, steady_std
+from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
 
@@ -37,7 +38,8 @@ class SampledDataDesign(PaperDesign):
     sampled_bandwidth: up to which disturbances are followed, rad/s.
     predicted_bias (q2,): error of d̂ at the sample for a constant r-th derivative at its bound.
     predicted_noise (q2,): standard deviation of d̂ at the sample.
-    error_bar (q2,): `<disturbance>_std` once the gain has converged.
+    error_bar, lagged_error_bar (q2,): `<disturbance>_std` and `_lagged_std` once they have settled.
+    lag: of the lagged estimate (s).
     certificate: bounds of the errors without noise.
     warnings: what to change, one sentence each.
     """
@@ -55,6 +57,8 @@ class SampledDataDesign(PaperDesign):
     predicted_bias: Array
     predicted_noise: Array
     error_bar: Array
+    lagged_error_bar: Array
+    lag: float
     certificate: Certificate
     warnings: tuple[str, ...]
 
@@ -75,6 +79,8 @@ class SampledDataDesign(PaperDesign):
             "predicted_bias": self.predicted_bias.tolist(),
             "predicted_noise": self.predicted_noise.tolist(),
             "error_bar": self.error_bar.tolist(),
+            "lagged_error_bar": self.lagged_error_bar.tolist(),
+            "lag": self.lag,
             "certificate": self.certificate.to_dict(),
             "warnings": list(self.warnings),
         }
@@ -95,7 +101,8 @@ class SampledDataDesign(PaperDesign):
         for i, name in enumerate(self.disturbances):
             lines.append(
                 f"{name}: predicted bias {self.predicted_bias[i]:.3g}, noise {self.predicted_noise[i]:.3g}, "
-                f"error bar {self.error_bar[i]:.3g} (one sigma)"
+                f"error bar {self.error_bar[i]:.3g} (one sigma), {self.lagged_error_bar[i]:.3g} "
+                + (f"{self.lag:g} s before the sample" if self.lag else "at the sample")
             )
         bounds = self.certificate
         if bounds.exists:
@@ -137,6 +144,7 @@ def sampled_data_design(
                 noise_std=noise_std,
                 disturbance_bound=disturbance_bound,
                 disturbance_rate=rate,
+                adapt_noise=False,
                 alpha=continuous.alpha,
                 pi=continuous.pi,
             ),
@@ -150,6 +158,7 @@ def sampled_data_design(
     found = observer.design(step_size)
     intensity = float(found.intensities.disturbance[-len(known.disturbance_bound)])
     bias, noise = predicted_error(found, known.disturbance_rate)
+    error_bar, lagged_error_bar = settled_error_bars(observer, np.array(equations.xhat0), step_size)
     bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
     return SampledDataDesign(
         **{field.name: getattr(continuous, field.name) for field in fields(PaperDesign)},
@@ -165,7 +174,9 @@ def sampled_data_design(
         sampled_bandwidth=min(bandwidth, 1.0 / step_size),
         predicted_bias=bias,
         predicted_noise=noise,
-        error_bar=steady_std(found, known.disturbance_rate),
+        error_bar=error_bar,
+        lagged_error_bar=lagged_error_bar,
+        lag=observer.settings.lag,
         certificate=certify(
             found,
             disturbance_rate=known.disturbance_rate,

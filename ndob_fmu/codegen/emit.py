@@ -8,7 +8,7 @@ from ndob_fmu.codegen.build_definitions import build_definitions
 from ndob_fmu.codegen.build_step import build_steps
 from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.codegen.print_python import IMPORTS, print_function
-from ndob_fmu.model.model import Model
+from ndob_fmu.model.model import SAID_BY_NAME, Model
 
 _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edit."""
 
@@ -60,7 +60,7 @@ def _equations(model: Model) -> str:
         "xhat0_std": model.xhat0_std,
         "disturbance_bound": model.disturbance_bound,
         "disturbance_rate": model.disturbance_rate,
-        "noise_std": model.told("noise_std"),
+        **{label: model.told(label) for label in SAID_BY_NAME},
         "lipschitz": float(model.lipschitz or 0.0),
         "f_states": tuple(j for j in range(len(model.states)) if any(entry != 0 for entry in jacobian.col(j))),
         "matched": model.matched,

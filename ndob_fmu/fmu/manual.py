@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import sympy
@@ -22,11 +23,13 @@ TEXTS = Path(__file__).parent / "documentation"
 
 def manual(model: Model, part: Part, variables: Sequence[Variable]) -> str:
     """Return the page of a model's plant or observer."""
-    at_sample = {f"{d}_at_sample" for d in model.disturbances} | {"valid"}
-    at_sample |= {f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")}
+    of_sample = [f"{d}_at_sample" for d in model.disturbances] + ["valid", "consistency"]
+    of_sample += [f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")]
+    lagged = [f"{d}{suffix}" for d in model.disturbances for suffix in ("_lagged", "_lagged_std")]
+    instants = dict.fromkeys(of_sample, "t") | dict.fromkeys(lagged, "t − lag")
     template = (TEXTS / f"{part.lower()}.html.jinja").read_text("utf-8")
     shown = {"equations": _equations(model), "turns": bool(model.channel_expressions)}
-    return page(f"{model.name}{part}", model.description, template, variables, at_sample=at_sample, **shown)
+    return page(f"{model.name}{part}", model.description, template, variables, instants=instants, **shown)
 
 
 def page(
@@ -35,16 +38,16 @@ def page(
     template: str,
     variables: Sequence[Variable],
     *,
-    at_sample: Set[str] = frozenset(),
+    instants: Mapping[str, str] = MappingProxyType({}),
     **shown: Any,
 ) -> str:
     """Return a page as HTML that needs neither network nor scripts.
 
     template: what is said of this FMU, in Jinja, with {{ variables }} where their tables go, and {{ names }} of `shown`
-    at_sample: the outputs that belong to the sample at the start of a step; the others belong to its end
+    instants: of the outputs that do not belong to t + H, the end of a step
     """
     environment = _environment()
-    tables = environment.get_template("tables.html.jinja").render(variables=variables, at_sample=at_sample)
+    tables = environment.get_template("tables.html.jinja").render(variables=variables, instants=instants)
     return environment.get_template("page.html.jinja").render(
         name=name,
         description=description,

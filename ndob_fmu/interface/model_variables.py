@@ -9,9 +9,14 @@ from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.equations import Equations
 
 METHODS = {"paper": 1, "sampled_data": 2}
-_TUNING = ("method", "alpha", "pi_start", "pi_end", "pi_ramp_time", "disturbance_order")
+_TUNING = (
+    *("method", "alpha", "pi_start", "pi_end", "pi_ramp_time"),
+    *("disturbance_order", "adapt_noise", "estimate_parameters", "lag"),
+)
 _PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
-_PER_OUTPUT = ("_noise_std", "_residual", "_residual_std")
+_PER_STATE = ("_hat", "_start", "_hat_start", "_hat_start_std")
+_PER_OUTPUT = ("_noise_std", "_delay", "_bias_std", "_residual", "_residual_std")
+_OF_DISTURBANCE = ("_hat", "_at_sample", "_std", "_lagged", "_lagged_std", "_total")
 
 
 METHOD = Enumeration(
@@ -36,16 +41,16 @@ DISTURBANCE_KIND = Enumeration(
 )
 
 
-def reserved_names(states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str]) -> set[str]:
-    """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them."""
-    derived = {f"{s}{suffix}" for s in states for suffix in ("_hat", "_start", "_hat_start", "_hat_start_std")}
-    derived |= {f"{output}{suffix}" for output in outputs for suffix in _PER_OUTPUT}
-    derived |= {
-        f"{d}{suffix}"
-        for d in disturbances
-        for suffix in ("_hat", "_at_sample", "_std", "_lagged", "_lagged_std", "_total")
-    }
-    return derived | set(_TUNING) | set(_PER_DISTURBANCE) | {"time", "valid", "consistency", "disturbance"}
+def reserved_names(
+    states: Iterable[str], outputs: Iterable[str], disturbances: Iterable[str], parameters: Iterable[str]
+) -> list[str]:
+    """Return the variable names that the FMUs derive or use themselves, so that a model cannot take them.
+
+    A name is listed twice where it derives from two of the model's.
+    """
+    groups = ((states, _PER_STATE), (outputs, _PER_OUTPUT), (disturbances, _OF_DISTURBANCE), (parameters, ("_std",)))
+    derived = [f"{name}{suffix}" for names, suffixes in groups for name in names for suffix in suffixes]
+    return [*derived, *_TUNING, *_PER_DISTURBANCE, "time", "valid", "consistency", "disturbance"]
 
 
 def for_each_disturbance(name: str, disturbances: tuple[str, ...]) -> dict[str, str]:
@@ -82,7 +87,7 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         ("hat", "Estimate of {} for the end of the step", eq.outputs),
         ("at_sample", "Estimate of {} for the sample that the step began with", eq.outputs),
         ("std", "One-sigma error bar of {}_hat", ()),
-        ("lagged", "Estimate of {} for lag before the sample", eq.outputs),
+        ("lagged", "Estimate of {} for the time lag before that sample", eq.outputs),
         ("lagged_std", "One-sigma error bar of {}_lagged", ()),
     ):
         outputs += [
@@ -108,7 +113,8 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
             name="valid",
             causality="output",
             type="Boolean",
-            description="False while the estimate coasts because a sample could not be used"
+            description="False while no output has been used for longer than the slowest sensor's interval, or while "
+            "the estimate is known to be lost"
             + (f", or {eq.disturbances[0]} because its direction vanishes" if eq.channel else ""),
             depends_on=eq.outputs,
         )
@@ -117,8 +123,8 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
         Variable(
             name="consistency",
             causality="output",
-            description="Moving average of the squared residuals over their expectation: 1 where model, noise and pace "
-            "of the disturbance are as told, more where one of them is worse",
+            description="Moving average of the squared residuals over their expectation; 1 where all that was told is "
+            "true; 0 with method 1, which does not say",
             minimum=0.0,
         )
     )
@@ -158,14 +164,47 @@ def _tuning(eq: Equations) -> list[Variable]:
             maximum=3,
         ),
         *(
+            parameter(f"{y}_{suffix}", value, text.format(y), unit=_unit(eq, y) if unit is None else unit, minimum=0.0)
+            for suffix, values, text, unit in (
+                (
+                    "noise_std",
+                    eq.noise_std,
+                    "Standard deviation of the noise in a sample of {}; 0: only rounding",
+                    None,
+                ),
+                ("delay", eq.delay, "Method 2: age of a sample of {} when it arrives", "s"),
+                ("bias_std", eq.bias_std, "Method 2: standard deviation of a constant offset of {}; 0: none", None),
+            )
+            for y, value in zip(eq.outputs, values, strict=True)
+        ),
+        *(
             parameter(
-                f"{y}_noise_std",
+                f"{name}_std",
                 value,
-                f"Standard deviation of the noise in a sample of {y}; 0: as fast as rounding lets",
-                unit=_unit(eq, y),
+                f"Method 2: one-sigma uncertainty of {name}, which widens the error bars; 0: known",
+                unit=_unit(eq, name),
                 minimum=0.0,
             )
-            for y, value in zip(eq.outputs, eq.noise_std, strict=True)
+            for name, value in zip(eq.parameters, eq.parameter_std, strict=True)
+        ),
+        parameter(
+            "adapt_noise",
+            o.adapt_noise,
+            "Method 2: whether the noise of each output, told by <output>_noise_std, follows the residuals",
+            type="Boolean",
+        ),
+        parameter(
+            "estimate_parameters",
+            o.estimate_parameters,
+            "Method 2: whether the parameters with a <parameter>_std above 0 are estimated too",
+            type="Boolean",
+        ),
+        parameter(
+            "lag",
+            o.lag,
+            "Method 2: how long before the sample <disturbance>_lagged is; 0: at the sample",
+            unit="s",
+            minimum=0.0,
         ),
         *(
             parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)

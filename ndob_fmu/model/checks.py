@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -44,7 +45,7 @@ def require_distinct_names(
 
     groups: states, inputs, disturbances and parameters, which share no name
     outputs: may have the name of the state that they measure
-    reserved: names that the FMUs use themselves
+    reserved: names that the FMUs use themselves, twice where they derive from two of the model's
     """
     seen: dict[str, str] = {}
     for group, names in groups.items():
@@ -65,9 +66,17 @@ def require_distinct_names(
                 expected="names used once, or the name of the state that is measured",
                 received=f"{name!r}, which is also in {seen.get(name, 'outputs')}",
             )
-    taken = frozenset(reserved)
+    derived = Counter(reserved)
+    for name, count in derived.items():
+        if count > 1:
+            raise ModelError.report(
+                model,
+                expected="names from which the FMUs derive different ones",
+                received=f"two from which they derive {name!r}",
+                likely=f"{name.rpartition('_')[0]!r} needs another name",
+            )
     for name in [*seen, *outputs]:
-        if name in taken:
+        if name in derived:
             raise ModelError.report(model, expected="names that the FMUs do not use themselves", received=repr(name))
     return tuple(dict.fromkeys([*seen, *outputs]))
 

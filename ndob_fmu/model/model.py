@@ -37,7 +37,13 @@ from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults, lumped_names
 
 # What a user may say by name, or with one number for all: of which group of names, and what holds for the others.
-_BY_NAME = {"noise_std": ("outputs", 1e-4)}
+SAID_BY_NAME = {
+    "noise_std": ("outputs", 1e-4),
+    "delay": ("outputs", 0.0),
+    "bias_std": ("outputs", 0.0),
+    "parameter_std": ("parameters", 0.0),
+    "state_noise": ("states", 0.0),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,11 @@ class Model:
     disturbance_bound: D₀, one number or one for each disturbance
     noise_std: standard deviation of the noise in a sample of an output, in its unit: {output: σ} or one number for all;
         1e-4 where it is not given, 0 for no noise
+    delay: age (s) of a sample of an output when it arrives, likewise; 0 where it is not given
+    bias_std: standard deviation of a constant offset of an output, likewise, in its unit; 0 for none
+    parameter_std: one-sigma uncertainty of a parameter, {parameter: σ}, in its unit; 0 where it is known
+    state_noise: intensity of white noise on the derivative of a state, {state: σ}, a standard deviation per √s; 0 for
+        none
     x0, xhat0: start values of the plant and of its estimate, (n,)
     xhat0_std: standard deviation of the error of xhat0, (n,); by default |x0 − xhat0|, or 1 where that is 0
     observer, disturbance, experiment: start values of the FMUs
@@ -85,7 +96,11 @@ class Model:
     description: str = ""
     lipschitz: float | None = None
     disturbance_bound: float | Sequence[float] = 1.0
-    noise_std: float | Mapping[str, float] = _BY_NAME["noise_std"][1]
+    noise_std: float | Mapping[str, float] = SAID_BY_NAME["noise_std"][1]
+    delay: float | Mapping[str, float] = 0.0
+    bias_std: float | Mapping[str, float] = 0.0
+    parameter_std: float | Mapping[str, float] = 0.0
+    state_noise: float | Mapping[str, float] = 0.0
     x0: Sequence[float] | None = None
     xhat0: Sequence[float] | None = None
     xhat0_std: Sequence[float] | None = None
@@ -166,11 +181,11 @@ class Model:
         return tuple(float(overrides.get(name, value)) for name, value in self.parameters.items())
 
     def told(self, label: str) -> tuple[float, ...]:
-        """Return the numbers of a field that is said by name, `noise_std`, in the order of the names.
+        """Return the numbers of a field of `SAID_BY_NAME` in the order of the names.
 
         Raises ModelError for a name that is not one of them, and for a number that is not finite or below 0.
         """
-        where, (group, default) = f"{self.name}.{label}", _BY_NAME[label]
+        where, (group, default) = f"{self.name}.{label}", SAID_BY_NAME[label]
         names = tuple(getattr(self, group))
         numbers = by_name(where, getattr(self, label), names, (default,) * len(names))
         for name, number in zip(names, numbers, strict=True):
@@ -193,7 +208,7 @@ class Model:
             self.name,
             {group: getattr(self, group) for group in ("states", "inputs", "disturbances", "parameters")},
             self.outputs,
-            reserved_names(self.states, self.outputs, self.disturbances),
+            reserved_names(self.states, self.outputs, self.disturbances, self.parameters),
         )
         for mapping in ("units", "descriptions"):
             require_known(f"{self.name}.{mapping}", getattr(self, mapping), known)
@@ -249,7 +264,7 @@ class Model:
         self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, differences, positive=True))
         bound = for_each(q, self.disturbance_bound)
         self._set("disturbance_bound", self._numbers("disturbance_bound", bound, (1.0,) * q, positive=True))
-        for label in _BY_NAME:
+        for label in SAID_BY_NAME:
             value = getattr(self, label)
             self._set(label, MappingProxyType(dict(value)) if isinstance(value, Mapping) else value)
             self.told(label)

@@ -27,6 +27,9 @@ class ObserverDefaults:
 
     method: 1 for the paper's observer, 2 for the sampled-data design
     disturbance_order: r = 0 … 3
+    adapt_noise: whether the variance of each output's noise follows the innovations
+    estimate_parameters: whether uncertain parameters are estimated too
+    lag: how long before the sample the lagged estimate is (s)
     disturbance_rate: bound of |d^{(r)}|, in units of d per s^r, one number or (q2,). None: that of a sine of 1 Hz at
         the disturbance's bound. 0: the pace follows from pi_end
     alpha: α in 1/s
@@ -39,6 +42,9 @@ class ObserverDefaults:
 
     method: int = 2
     disturbance_order: int = 2
+    adapt_noise: bool = True
+    estimate_parameters: bool = False
+    lag: float = 0.0
     disturbance_rate: float | Sequence[float] | None = None
     alpha: float = 1.0
     pi_start: float = 1.0
@@ -111,6 +117,10 @@ class Equations:
     of `parameters`. They raise ArithmeticError or ValueError where they have no value, as a root has no slope at 0.
 
     noise_std (p,): standard deviation of the noise in a sample of each output, in its unit; 0 for no noise
+    delay (p,): age (s) of a sample of each output when it arrives
+    bias_std (p,): standard deviation of a constant offset of each output, in its unit; 0 for none
+    parameter_std: one-sigma uncertainty of each parameter, in its unit; 0 where it is known
+    state_noise (n,): intensity of white noise on ẋ, as a standard deviation per √s; 0 for none
     lipschitz: γ of eq. (3)
     f_states: indices of the states that f depends on
     matched: whether f and d enter through the same channel (eq. 1)
@@ -141,6 +151,10 @@ class Equations:
     disturbance_bound: tuple[float, ...]
     disturbance_rate: tuple[float, ...]
     noise_std: tuple[float, ...]
+    delay: tuple[float, ...]
+    bias_std: tuple[float, ...]
+    parameter_std: tuple[float, ...]
+    state_noise: tuple[float, ...]
     lipschitz: float
     f_states: tuple[int, ...]
     matched: bool

@@ -451,3 +451,22 @@ def test_the_json_form_of_a_failed_report_names_the_cause():
 def test_a_path_in_place_of_a_model_is_refused_with_the_function_that_reads_it(command):
     with pytest.raises(UsageError, match=r"expected a Model, received 'plant.py'; likely cause: `load_model"):
         command("plant.py")
+
+
+def test_offsets_and_estimated_parameters_have_rows_that_inform():
+    names = [row.name for row in check(FLEXIBLE_JOINT).rows]
+    assert "offsets" not in names
+    assert "estimated_parameters" not in names
+    told = replace(
+        FLEXIBLE_JOINT,
+        bias_std={"motor_angle": 0.01},
+        parameter_std={"joint_stiffness": 0.1, "motor_damping": 0.1},
+        observer=replace(FLEXIBLE_JOINT.observer, estimate_parameters=True),
+    )
+    report = check(told)
+    assert report.passed
+    assert report["offsets"].values == {"motor_angle": True}
+    assert report["estimated_parameters"].values == {"joint_stiffness": True, "motor_damping": False}
+    assert "motor_damping: NOT told from a disturbance" in str(report)
+    both = check(replace(FLEXIBLE_JOINT, bias_std=0.01))
+    assert both["offsets"].values == {"motor_angle": False, "link_angle": False}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from ndob_fmu.analysis.design import design
 from ndob_fmu.analysis.sampled_data_design import SampledDataDesign
 from ndob_fmu.cli import main
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import DesignError, ModelError, UsageError
+from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
 
 FLEXIBLE = MODELS["flexible_joint"]
@@ -154,3 +157,22 @@ def test_the_command_takes_the_knowledge_of_the_disturbance(capsys):
         assert main([*command, "--noise-std", "1e-4", "--disturbance-rate", rate, "--disturbance-bound", "2"]) == 0
         rates.append(json.loads(capsys.readouterr().out)["sampled_bandwidth"])
     assert rates[1] > rates[0]
+
+
+def test_the_error_bars_are_those_that_the_observer_shows_once_they_have_settled():
+    uncertain = {"joint_stiffness": 0.1, "gravity_torque": 1.0, "motor_damping": 0.1}
+    told = replace(FLEXIBLE, parameter_std=uncertain, observer=replace(FLEXIBLE.observer, lag=0.05))
+    known = {"step_size": 5e-3, "noise_std": 1e-4}
+    plain, late = design(FLEXIBLE, **known), design(told, **known)
+    # Without a lag the second one is at the sample, where there is no prediction.
+    assert 0.5 * plain.error_bar[0] < plain.lagged_error_bar[0] < plain.error_bar[0]
+    assert late.lagged_error_bar[0] < 0.9 * plain.lagged_error_bar[0]
+    assert late.error_bar[0] > 1.02 * plain.error_bar[0]
+    assert late.to_dict()["lag"] == 0.05
+    assert "0.05 s before the sample" in str(late)
+    eq, still = compile_model(FLEXIBLE), (0.0,) * 4
+    observer = sampled_observer(eq, FLEXIBLE.parameter_values(), x_hat=still, noise_std=(1e-4, 1e-4))
+    state = observer.init(still)
+    for y in 1e-4 * np.random.default_rng(1).normal(size=(300, 2)):
+        state, estimate = observer.step(state, (0.0,), y.tolist(), 5e-3)
+    assert estimate.d_std[0] == pytest.approx(plain.error_bar[0], rel=0.1)

@@ -290,7 +290,9 @@ def test_what_has_the_size_of_a_disturbance_or_a_size_far_from_one_declares_it(f
         if variable.nominal is not None
     }
     assert nominals == {
-        **dict.fromkeys(["load_torque_total", "load_torque_hat", "load_torque_at_sample", "load_torque_std"], 5.0),
+        **dict.fromkeys(
+            [f"load_torque_{of}" for of in ("total", "hat", "at_sample", "std", "lagged", "lagged_std")], 5.0
+        ),
         "pi_end": 1e12,
     }
 

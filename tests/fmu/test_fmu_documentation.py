@@ -219,12 +219,14 @@ def test_the_page_lists_every_variable_with_unit_start_and_range():
 def test_the_page_says_which_instant_each_output_belongs_to(name):
     model = MODELS[name]
     plant, observer = rows_of(page(model, "Plant")), rows_of(page(model, "Observer"))
-    at_sample = {"valid", *(f"{d}_at_sample" for d in model.disturbances)}
+    at_sample = {"valid", "consistency", *(f"{d}_at_sample" for d in model.disturbances)}
     at_sample |= {f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")}
     for rows, variables in ((plant, plant_variables), (observer, observer_variables)):
         for variable in variables(compile_model(model)):
             if variable.causality == "output":
-                assert rows[variable.name][1] == ("t" if variable.name in at_sample else "t + H")
+                lagged = variable.name.endswith(("_lagged", "_lagged_std"))
+                instant = "t − lag" if lagged else "t" if variable.name in at_sample else "t + H"
+                assert rows[variable.name][1] == instant
 
 
 def test_only_the_observer_of_a_turning_direction_speaks_of_one():

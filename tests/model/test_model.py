@@ -222,7 +222,22 @@ def test_names_must_serve_as_variables_in_the_code_that_is_written(name):
     assert f"received {name!r}" in refused(name=name)
 
 
-@pytest.mark.parametrize("name", ["a_hat", "a_start", "y_residual", "load_at_sample", "alpha", "valid", "time"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "a_hat",
+        "a_start",
+        "y_residual",
+        "load_at_sample",
+        "load_lagged",
+        "k_std",
+        "y_delay",
+        "lag",
+        "alpha",
+        "valid",
+        "time",
+    ],
+)
 def test_names_that_the_fmus_use_themselves_are_refused(name):
     assert f"expected names that the FMUs do not use themselves, received {name!r}" in refused(inputs=["u", name])
 
@@ -313,6 +328,41 @@ def test_a_noise_among_the_observers_defaults_is_refused_with_what_replaces_it(t
     with pytest.raises(ModelError) as caught:
         load_model(path)
     assert "expected the noise of each sensor in Model(noise_std={output: number})" in one_line(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("delay", {"y": 0.02}, (0.0, 0.02, 0.0, 0.0, 0.0)),
+        ("delay", 0.02, (0.02,) * 5),
+        ("bias_std", {"w": 2}, (0.0, 0.0, 0.0, 0.0, 2.0)),
+        ("parameter_std", {"k": 0.2}, (0.2,)),
+        ("state_noise", {"c": 0.1, "a": 0.3}, (0.3, 0.0, 0.1, 0.0)),
+    ],
+)
+def test_what_is_known_of_sensors_and_model_reaches_the_equations_in_order(field, value, expected):
+    model = plant(**{field: value})
+    assert model.told(field) == getattr(compile_model(model), field) == expected
+    assert set(plant().told(field)) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("delay", {"y": -0.01}, "Plant.delay, y: expected a finite number ≥ 0, received -0.01"),
+        ("bias_std", {"y": float("nan")}, "Plant.bias_std, y: expected a finite number ≥ 0, received nan"),
+        ("parameter_std", {"kk": 1.0}, "Plant.parameter_std: expected the name k, received 'kk'"),
+        ("state_noise", {"y": 1.0}, "Plant.state_noise: expected one of the names a, b, c, d, received 'y'"),
+        ("state_noise", {"a": float("inf")}, "Plant.state_noise, a: expected a finite number ≥ 0, received inf"),
+    ],
+)
+def test_what_is_wrongly_said_of_sensors_and_model_is_refused(field, value, says):
+    assert says in refused(**{field: value})
+
+
+def test_names_from_which_the_fmus_derive_the_same_are_refused():
+    assert "derive 'y_bias_std'" in refused(parameters={"k": 2.0, "y_bias": 1.0})
+    plant(parameters={"k": 2.0, "b_bias": 1.0})  # b is a state that no sensor has for its output
 
 
 def nested_if(x, u, p):

@@ -196,6 +196,28 @@ def test_with_equal_error_bars_it_is_the_projection_on_the_direction():
     assert estimate.d_lagged_std == pytest.approx([0.05 / np.linalg.norm(n(0.5))], rel=1e-14)
 
 
+def test_the_lagged_estimate_is_read_along_the_direction_of_its_own_time():
+    """The elbow turns by 0.1 rad a step; the lag is four steps, and d was 7 N then."""
+    H, steps, lag = 5e-3, 12, 4
+    lumped_observer = Fixed([n(0.0)] * 2, [0.1, 0.1], [0.0] * 4, [0.0] * 4)
+    observer = read_out(
+        compile_model(ARM), ARM.parameter_values(), lumped_observer, disturbance_bound=[20.0], lag=lag * H
+    )
+    state = observer.init(ARM.xhat0)
+    for k in range(steps):
+        now, then = 0.1 * k, 0.1 * max(k - lag, 0)
+        lumped_observer.says = replace(
+            lumped_observer.says,
+            x_at_sample=(0.0, 0.0, now, 0.0),
+            d_at_sample=tuple(3.0 * n(now)),
+            d_lagged=tuple(7.0 * n(then)),
+        )
+        state, estimate = observer.step(state, [0.0, 0.0], [0.0, 0.0], H)
+        assert estimate.d_at_sample == pytest.approx([3.0])
+        assert estimate.d_lagged == pytest.approx([7.0])
+        assert estimate.d_lagged_std == pytest.approx([0.05 / np.linalg.norm(n(then))])
+
+
 def test_an_estimate_of_ten_times_the_error_counts_a_hundredth():
     clean, noisy = read([[0.0, 1.0]] * 2, std=[1.0, 0.1], elbow=(0.0, 0.0)), read([[1.0, 0.0]] * 2, std=[1.0, 0.1])
     assert clean.d_hat[0] == pytest.approx(30.0 / (0.49 + 9.0))

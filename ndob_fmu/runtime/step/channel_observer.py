@@ -16,6 +16,8 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Channel, Equations, Vector
+from ndob_fmu.runtime.step.filter_state import LagMemory
+from ndob_fmu.runtime.step.fixed_lag import at_lag, empty_lag, remembered
 from ndob_fmu.runtime.step.observer import Estimate, Observer, S, numbers
 
 VANISHING = 0.1
@@ -23,13 +25,14 @@ _SMALLEST_SHARE = 1e-9  # of the largest error bar: a smaller error bar would gi
 
 
 def read_out(
-    equations: Equations, parameters: Vector, observer: Observer[S], *, disturbance_bound: Vector
+    equations: Equations, parameters: Vector, observer: Observer[S], *, disturbance_bound: Vector, lag: float = 0.0
 ) -> Observer[S] | ChannelObserver[S]:
     """Return the observer of the disturbance, for an `observer` of `design.lumping.lumped(equations)`.
 
     It is `observer` itself where there is no channel.
 
     disturbance_bound (1,): D₀, the error bar of a disturbance that cannot be told
+    lag: of the lagged estimate of w (s)
     """
     if equations.channel is None:
         return observer
@@ -38,6 +41,7 @@ def read_out(
         parameters=parameters,
         observer=observer,
         disturbance_bound=np.array(disturbance_bound, dtype=float),
+        lag=lag,
     )
 
 
@@ -47,10 +51,12 @@ class ChannelState(Generic[S]):
 
     lumped: the state of the observer of w.
     d_hat (1,): the last disturbance that could be read.
+    directions: n at past samples, as far back as the lag; empty without one.
     """
 
     lumped: S
     d_hat: Vector
+    directions: LagMemory
 
     @property
     def u(self) -> Vector | Array:
@@ -63,51 +69,53 @@ class ChannelObserver(Generic[S]):
     """The observer of d, made from an `observer` of the lumped inputs w.
 
     disturbance_bound (1,): D₀, the error bar of a d̂ that cannot be told
+    lag: of the lagged estimate of w (s)
     """
 
     channel: Channel
     parameters: Vector
     observer: Observer[S]
     disturbance_bound: Array = field(repr=False)
+    lag: float = 0.0
 
     def init(self, x_hat: Vector) -> ChannelState[S]:
         """Return the state that starts from x̂₀ (n,)."""
-        return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,))
+        directions = empty_lag(0, len(self.channel.bound), self.lag)
+        return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,), directions=directions)
 
     def possible(self, state: ChannelState[S], elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
-        return bool(np.all(np.isfinite(state.d_hat))) and self.observer.possible(state.lumped, elapsed)
+        own = (state.d_hat, state.directions.age, state.directions.value)
+        return all(bool(np.all(np.isfinite(part))) for part in own) and self.observer.possible(state.lumped, elapsed)
 
     def estimate(self, state: ChannelState[S], y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""
-        return self._read(self.observer.estimate(state.lumped, y), state.lumped.u, state.d_hat)
+        return self._read(self.observer.estimate(state.lumped, y), state.lumped.u, state)[0]
 
     def step(self, state: ChannelState[S], u: Vector, y: Vector, H: float) -> tuple[ChannelState[S], Estimate]:
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
-        after, estimate = self.observer.step(state.lumped, u, y, H)
-        estimate = self._read(estimate, after.u, state.d_hat)
-        return ChannelState(lumped=after, d_hat=estimate.d_hat), estimate
+        after, lumped = self.observer.step(state.lumped, u, y, H)
+        estimate, directions = self._read(lumped, after.u, state)
+        aged = replace(directions, age=np.where(directions.age >= 0.0, directions.age + H, -1.0))
+        return ChannelState(lumped=after, d_hat=estimate.d_hat, directions=aged), estimate
 
-    def _read(self, lumped: Estimate, u: Vector | Array, held: Vector) -> Estimate:
-        """Return the estimate of d in place of that of w; `held` (1,) where d cannot be read."""
+    def _read(self, lumped: Estimate, u: Vector | Array, state: ChannelState[S]) -> tuple[Estimate, LagMemory]:
+        """Return the estimate of d in place of that of w, and the directions with the one at this sample.
+
+        The errors of the ŵ_j are treated as independent, and x̂ as exact enough not to turn n.
+        """
         at_sample = self._direction(lumped.x_at_sample, u)
         ahead = self._direction(lumped.x_hat, u)
-        # The errors of the ŵ_j are treated as independent, and x̂ as exact enough not to turn n.
-        w_std = np.array(lumped.d_std)
-        sigma = np.maximum(w_std, _SMALLEST_SHARE * (np.max(w_std) or 1.0))
-        d_at_sample, d_hat, d_std = held, held, numbers(self.disturbance_bound)
-        d_lagged, d_lagged_std = held, d_std
-        if at_sample is not None:
-            d_at_sample = d_hat = _least_squares(at_sample / sigma, lumped.d_at_sample / sigma)
-            # A direction turns little within a lag.
-            d_lagged = _least_squares(at_sample / sigma, lumped.d_lagged / sigma)
-            d_lagged_std = (
-                float(1.0 / np.linalg.norm(at_sample / np.maximum(lumped.d_lagged_std, _SMALLEST_SHARE * sigma))),
-            )
-        if ahead is not None:
-            d_hat = _least_squares(ahead / sigma, lumped.d_hat / sigma)
-            d_std = (float(1.0 / np.linalg.norm(ahead / sigma)),)
-        return replace(
+        d_at_sample, _ = self._fit(at_sample, lumped.d_at_sample, lumped.d_std, state.d_hat)
+        d_hat, d_std = self._fit(ahead, lumped.d_hat, lumped.d_std, d_at_sample)
+        then, directions = at_sample, state.directions
+        if self.lag > 0.0:
+            k = len(self.channel.bound)
+            n = np.zeros(k) if at_sample is None else at_sample
+            directions = remembered(directions, n, np.zeros((k, 0)), np.zeros((0, 0)), self.lag)
+            then = self._if_long_enough(at_lag(directions, self.lag, k)[0])
+        d_lagged, d_lagged_std = self._fit(then, lumped.d_lagged, lumped.d_lagged_std, state.d_hat)
+        read = replace(
             lumped,
             d_hat=d_hat,
             d_at_sample=d_at_sample,
@@ -116,6 +124,15 @@ class ChannelObserver(Generic[S]):
             d_lagged_std=d_lagged_std,
             valid=lumped.valid and at_sample is not None and ahead is not None,
         )
+        return read, directions
+
+    def _fit(self, n: Array | None, w: Vector, w_std: Vector, held: Vector) -> tuple[Vector, Vector]:
+        """Return d̂ (1,) and its error bar (1,) from ŵ (k,) and its own; `held` and D₀ where n (k,) tells nothing."""
+        if n is None:
+            return held, numbers(self.disturbance_bound)
+        std = np.array(w_std)
+        sigma = np.maximum(std, _SMALLEST_SHARE * (np.max(std) or 1.0))
+        return _least_squares(n / sigma, w / sigma), (float(1.0 / np.linalg.norm(n / sigma)),)
 
     def _direction(self, x_hat: Vector, u: Vector | Array) -> Array | None:
         """Return n (k,); None where it vanishes or cannot be evaluated."""
@@ -123,6 +140,9 @@ class ChannelObserver(Generic[S]):
             n = np.array(self.channel.direction(x_hat, [float(value) for value in u], self.parameters), dtype=float)
         except (ArithmeticError, ValueError):
             return None
+        return self._if_long_enough(n)
+
+    def _if_long_enough(self, n: Array) -> Array | None:
         return n if VANISHING <= np.linalg.norm(n / self.channel.bound) < np.inf else None
 
 

@@ -99,8 +99,7 @@ class FilterModel:
     def estimated(self) -> Array:
         """Return 1 for each entry of ξ and of the past that samples correct, 0 for parameters that are considered."""
         mask = np.ones(self.rows)
-        if not self.settings.estimate_parameters:
-            mask[self.layout.parameters] = 0.0
+        mask[self.layout.parameters] = [self.settings.estimated[i] for i in self.layout.uncertain]
         return mask
 
     def jumps_in_step(self, F: Array, H: float) -> Array:
@@ -116,7 +115,7 @@ class FilterModel:
     def with_parameters(self, xi: Array) -> Vector:
         """Return the model's parameters, the estimated ones from ξ̂."""
         uncertain = self.layout.uncertain
-        if not (uncertain and self.settings.estimate_parameters):
+        if not any(self.settings.estimated[i] for i in uncertain):
             return self.parameters
         values = list(self.parameters)
         for place, index in enumerate(uncertain):

@@ -18,10 +18,11 @@ class Estimate:
     x_at_sample (n,): x̂(t), for the sample that the step began with.
     d_at_sample (q2,): d̂(t).
     d_std (q2,): one-sigma error bar of d_hat.
-    d_lagged, d_lagged_std (q2,): d̂ and its error bar a lag before the sample.
+    d_lagged, d_lagged_std (q2,): d̂ and its error bar a lag before the sample; at the sample from method 1.
     residual (p,): y − C x̂(t) before the sample was used; 0 for a sample that is not finite.
     residual_std (p,): standard deviation expected of the residual; 0 from method 1, which predicts none.
-    valid: False where the sample could not be used, so that the estimate coasts.
+    valid: False where no output has been used for too long, or the estimate is known to be lost.
+    consistency: moving average of squared residuals over their expectation; 0 from method 1.
     """
 
     x_hat: Vector

@@ -102,7 +102,7 @@ class PaperObserver:
             residual=numbers(residual),
             residual_std=(0.0,) * len(residual),
             valid=valid,
-            consistency=1.0,
+            consistency=0.0,
         )
 
     def step(self, state: PaperObserverState, u: Vector, y: Vector, H: float) -> tuple[PaperObserverState, Estimate]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from ndob_fmu.runtime.equations import Equations, Vector
 
@@ -33,7 +35,7 @@ class ObserverSettings:
     parameter_std: one-sigma uncertainty of each parameter, 0 where it is known
     state_noise (n,): intensity of white noise on ẋ, as a standard deviation per √s; 0 for none
     adapt_noise: whether the variance of each output's noise follows the innovations
-    estimate_parameters: whether uncertain parameters are estimated, not only considered
+    estimated: for each parameter, whether it is estimated where it is uncertain, not only considered
     lag: how long before the sample the lagged estimate is (s)
     alpha, pi: α (1/s), which r = 0 needs, and π, which sets the pace where a rate is 0
     """
@@ -46,7 +48,7 @@ class ObserverSettings:
     parameter_std: Vector
     state_noise: Vector
     adapt_noise: bool
-    estimate_parameters: bool
+    estimated: Sequence[bool]
     lag: float
     alpha: float
     pi: float
@@ -55,38 +57,29 @@ class ObserverSettings:
 def observer_settings(
     equations: Equations,
     *,
-    order: int | None = None,
     noise_std: Vector | None = None,
     delay: Vector | None = None,
     bias_std: Vector | None = None,
-    disturbance_bound: Vector | None = None,
-    disturbance_rate: Vector | None = None,
-    x_std: Vector | None = None,
-    parameter_std: Vector | None = None,
-    state_noise: Vector | None = None,
-    adapt_noise: bool = True,
-    estimate_parameters: bool = False,
-    lag: float = 0.0,
-    alpha: float | None = None,
-    pi: float | None = None,
+    **changes: Any,
 ) -> ObserverSettings:
-    """Return the settings with the model's defaults for what is not given."""
-    eq, tuning, none = equations, equations.observer, (0.0,) * len(equations.outputs)
-    return ObserverSettings(
-        order=tuning.disturbance_order if order is None else order,
+    """Return the settings that the model's start values are, but for the sensors' fields and other `changes`."""
+    eq, tuning = equations, equations.observer
+    defaults = ObserverSettings(
+        order=tuning.disturbance_order,
         sensors=Sensors(
             noise_std=eq.noise_std if noise_std is None else noise_std,
-            delay=none if delay is None else delay,
-            bias_std=none if bias_std is None else bias_std,
+            delay=eq.delay if delay is None else delay,
+            bias_std=eq.bias_std if bias_std is None else bias_std,
         ),
-        disturbance_bound=eq.disturbance_bound if disturbance_bound is None else disturbance_bound,
-        disturbance_rate=eq.disturbance_rate if disturbance_rate is None else disturbance_rate,
-        x_std=eq.xhat0_std if x_std is None else x_std,
-        parameter_std=(0.0,) * len(eq.parameters) if parameter_std is None else parameter_std,
-        state_noise=(0.0,) * len(eq.states) if state_noise is None else state_noise,
-        adapt_noise=adapt_noise,
-        estimate_parameters=estimate_parameters,
-        lag=lag,
-        alpha=tuning.alpha if alpha is None else alpha,
-        pi=tuning.pi_end if pi is None else pi,
+        disturbance_bound=eq.disturbance_bound,
+        disturbance_rate=eq.disturbance_rate,
+        x_std=eq.xhat0_std,
+        parameter_std=eq.parameter_std,
+        state_noise=eq.state_noise,
+        adapt_noise=tuning.adapt_noise,
+        estimated=(tuning.estimate_parameters,) * len(eq.parameters),
+        lag=tuning.lag,
+        alpha=tuning.alpha,
+        pi=tuning.pi_end,
     )
+    return replace(defaults, **changes)

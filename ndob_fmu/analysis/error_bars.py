@@ -1,0 +1,36 @@
+"""The error bars that an observer will show, from a run on samples as it expects them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+
+_MOST_STEPS = 1000
+_START = 4  # samples for each entry of the observer's state, before which its error bars are not judged
+_WINDOW = 20  # steps in which a settled error bar changes by less than the part below
+_SETTLED = 1e-3
+
+
+def settled_error_bars(observer: SampledObserver, x_hat: Array, H: float) -> tuple[Array, Array]:
+    """Return the error bars (q2,) of d̂ a step ahead and of the lagged d̂ once they have settled, at steps of H (s).
+
+    The plant moves as the observer predicts it from x̂₀ (n,), with u = 0. Each sample is off by half its noise, with
+    alternating signs: equal samples would pass for those of a stuck sensor. After 1000 steps the error bars are taken
+    as they are.
+    """
+    u = (0.0,) * len(observer.equations.inputs)
+    nothing = (0.0,) * len(observer.equations.outputs)
+    state = observer.init(x_hat.tolist())
+    shown: list[Array] = []
+    for k in range(_MOST_STEPS):
+        expected = -np.array(observer.estimate(state, nothing).residual)
+        y = expected + (0.5 if k % 2 else -0.5) * observer.noise_std
+        state, estimate = observer.step(state, u, y.tolist(), H)
+        shown.append(np.array([estimate.d_std, estimate.d_lagged_std]))
+        change = np.ptp(shown[-_WINDOW:], axis=0)
+        started = k >= _START * observer.layout.size + _WINDOW and k * H > 2.0 * observer.settings.lag
+        if started and np.all(change <= _SETTLED * shown[-1]):
+            break
+    return shown[-1][0], shown[-1][1]
