@@ -139,14 +139,23 @@ def observer_reference(observer: Any, inputs: Recording) -> Recording:
         estimates.append(estimate)
     names = (
         *(f"{state}_hat" for state in STATES),
-        *("load_torque_hat", "load_torque_at_sample", "load_torque_std"),
+        *(f"load_torque_{suffix}" for suffix in ("hat", "at_sample", "std", "lagged", "lagged_std")),
         *(f"{output}{suffix}" for suffix in ("_residual", "_residual_std") for output in OUTPUTS),
-        "valid",
+        *("valid", "consistency"),
     )
-    rows = [[*e.x_hat, *e.d_hat, *e.d_at_sample, *e.d_std, *e.residual, *e.residual_std, e.valid] for e in estimates]
+    rows = [
+        [
+            *(*e.x_hat, *e.d_hat, *e.d_at_sample, *e.d_std, *e.d_lagged, *e.d_lagged_std),
+            *(*e.residual, *e.residual_std, e.valid, e.consistency),
+        ]
+        for e in estimates
+    ]
     every = round(OUTPUT_INTERVAL / OBSERVER_STEP)
     return Recording(
-        inputs.time[::every], names, np.array(rows, dtype=float)[::every], (*["Real"] * (len(names) - 1), "Boolean")
+        inputs.time[::every],
+        names,
+        np.array(rows, dtype=float)[::every],
+        (*["Real"] * (len(names) - 2), "Boolean", "Real"),
     )
 
 
