@@ -11,7 +11,7 @@ from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.runtime.design.augmented import augment, discretise
 from ndob_fmu.runtime.design.intensity_law import law_from_pi, tuned_law
 from ndob_fmu.runtime.design.stationary_design import design_for
-from ndob_fmu.runtime.design.tuning import Knowledge, fastest_bandwidth, predicted_error, tuned_intensities
+from ndob_fmu.runtime.design.tuning import Knowledge, fastest_bandwidth, squared_errors, tuned_intensities
 from tests.helpers.problems import MODELS, RANDOM
 
 PLANTS = {
@@ -30,7 +30,7 @@ def knowledge(linear, order, noise_scale=1.0):
 
 def cost(system, H, disturbance, tuned, known):
     found = design_for(system, discretise(system, H, 1.0), known.R_factor, replace(tuned, disturbance=disturbance), 1.0)
-    return float(np.sum(predicted_error(found, known.disturbance_rate)))
+    return float(np.sqrt(np.sum(squared_errors(found, known))))
 
 
 @pytest.mark.parametrize("plant", PLANTS)

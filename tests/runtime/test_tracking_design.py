@@ -12,7 +12,7 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.design.augmented import augment
 from ndob_fmu.runtime.design.stationary_design import stationary_design
 from ndob_fmu.runtime.design.tracking_design import cost_at, linearised, tracking_design
-from ndob_fmu.runtime.design.tuning import Knowledge, predicted_error, tuned_intensities
+from ndob_fmu.runtime.design.tuning import Knowledge, squared_errors, tuned_intensities
 from tests.helpers.problems import MODELS
 
 H = 0.02
@@ -69,7 +69,7 @@ def test_without_a_slope_of_f_the_plant_is_designed_with_f_as_noise():
     found, frozen, known = designed(CYLINDER, linearisation=no_slope)
     assert not found.knows_f
     assert found.stationary.intensities.f > 0.0
-    least = float(np.sum(predicted_error(frozen, known.disturbance_rate))) / CYLINDER.bound
+    least = float(np.sqrt(np.sum(squared_errors(frozen, known))))
     assert least < found.cost < 1.05 * least
 
 

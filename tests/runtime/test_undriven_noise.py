@@ -84,7 +84,7 @@ def test_what_a_disturbance_reaches_through_other_states_gets_no_noise():
     assert not np.any(undriven_noise(plant.A, plant.C, behind, np.ones(3), 1e-2))
     only_position = np.array([[1.0], [0.0], [0.0]])
     found = undriven_noise(plant.A, plant.C, only_position, np.ones(3), 1e-2)
-    np.testing.assert_allclose(found, [0.0, 0.01**2 * 26.0 * 1e-2, 0.02**2 * 2500.0 * 1e-2])
+    np.testing.assert_allclose(found, [0.0, 0.005**2 * 26.0 * 1e-2, 0.02**2 * 2500.0 * 1e-2])
 
 
 def test_the_noise_scales_with_the_units_of_states_and_time():

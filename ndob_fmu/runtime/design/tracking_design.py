@@ -15,7 +15,7 @@ from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented, augment, discretise
 from ndob_fmu.runtime.design.intensity_law import IntensityLaw, law_from_pi, tuned_law
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, design_for
-from ndob_fmu.runtime.design.tuning import Knowledge, bandwidth_of, f_intensity, predicted_error
+from ndob_fmu.runtime.design.tuning import Knowledge, bandwidth_of, f_intensity, squared_errors
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.kalman import converged_factor
@@ -28,7 +28,7 @@ class TrackingDesign:
     stationary: the filter there, at the step H that it was tuned for.
     law: the intensities on the disturbance for every step and noise.
     knows_f: False where the linearisation has no design, so that A alone stands for the plant and f counts as noise.
-    cost: J, the predicted error of d̂ over D₀, summed over the disturbances.
+    cost: √J, the predicted RMS error of d̂ at the sample over D₀, the disturbances' squares summed.
     """
 
     stationary: StationaryDesign = field(repr=False)
@@ -82,7 +82,7 @@ def linearised(equations: Equations, parameters: Vector, x: Vector, u: Vector) -
 
 
 def cost_at(frozen: StationaryDesign, plant: Augmented, known: Knowledge) -> float:
-    """Return J of a frozen gain of order r ≥ 1 on another linearisation `plant`; infinite where its errors grow."""
+    """Return √J of a frozen gain of order r ≥ 1 on another linearisation `plant`; infinite where its errors grow."""
     actual = discretise(plant, frozen.discrete.H, frozen.alpha)
     K, selector = frozen.K, np.asarray(plant.selector)
     kept = np.eye(len(K)) - K @ plant.C
@@ -90,8 +90,8 @@ def cost_at(frozen: StationaryDesign, plant: Augmented, known: Knowledge) -> flo
         noise = np.linalg.norm(selector @ converged_factor(kept @ actual.Phi, K @ known.R_factor), axis=1)
         before_sample = np.linalg.solve(np.eye(len(K)) - actual.Phi @ kept, actual.drive)
         bias = np.abs(selector @ kept @ before_sample) @ known.disturbance_rate
-        total = float(np.sum((bias + noise) / known.disturbance_bound))
-    return total if np.isfinite(total) else np.inf
+        cost = float(np.linalg.norm(np.hypot(bias / np.sqrt(3.0), noise) / known.disturbance_bound))
+    return cost if np.isfinite(cost) else np.inf
 
 
 def _tuned(system: Augmented, known: Knowledge, H: float, alpha: float, pi: float, *, knows_f: bool) -> TrackingDesign:
@@ -103,6 +103,5 @@ def _tuned(system: Augmented, known: Knowledge, H: float, alpha: float, pi: floa
         f = f_intensity(system, H, disturbance, bandwidth_of(system, H, float(disturbance[0]), known), known)
     intensities = Intensities(disturbance=disturbance, f=f)
     stationary = design_for(system, discretise(system, H, alpha), known.R_factor, intensities, alpha)
-    bias, noise = predicted_error(stationary, known.disturbance_rate)
-    cost = float(np.sum((bias + noise) / known.disturbance_bound))
+    cost = float(np.sqrt(np.sum(squared_errors(stationary, known))))
     return TrackingDesign(stationary=stationary, law=law, knows_f=knows_f, cost=cost)

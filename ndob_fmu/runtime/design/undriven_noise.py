@@ -13,7 +13,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 
 # Parts of an equation's terms. Larger ones cost accuracy where the model is right, smaller ones where it is wrong.
-_SEEN, _UNSEEN = 0.02, 0.01
+_SEEN, _UNSEEN = 0.02, 0.005
 
 
 def undriven_noise(A: Array, C: Array, channels: Array, size: Array, H: float) -> Array:
