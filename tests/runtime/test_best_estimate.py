@@ -196,7 +196,7 @@ def test_noise_on_the_states_widens_what_the_filter_expects_of_them():
 
 
 def test_a_parameter_that_is_estimated_is_one_state_more():
-    run(Case(pull_std=0.2, estimate_parameters=True), check=always_best)
+    run(Case(pull_std=0.2, estimated=(True,)), check=always_best)
 
 
 def test_the_error_bar_with_uncertain_parameters_is_that_of_the_errors_over_all_their_values():
