@@ -221,8 +221,8 @@ def test_the_error_bar_is_honest_from_the_first_sample_on():
 def test_the_gain_is_frozen_once_it_has_converged():
     observer = observer_of(noise_std=1e-5)
     run = Run(observer, constant(), 5e-3, 2.0)
-    assert run.state.covariance.converged
-    np.testing.assert_array_equal(run.state.covariance.factor, observer.design(5e-3).prior_factor)
+    assert run.state.memory.converged
+    np.testing.assert_array_equal(run.state.memory.factor, observer.design(5e-3).prior_factor)
 
 
 def test_the_host_may_change_its_step_in_every_way():
