@@ -102,6 +102,13 @@ class FilterModel:
         mask[self.layout.parameters] = [self.settings.estimated[i] for i in self.layout.uncertain]
         return mask
 
+    @cached_property
+    def start_columns(self) -> Array:
+        """The columns (N + past,r q2) of d and its derivatives in the factor before the first sample."""
+        columns = np.zeros((self.rows, self.layout.order * self.layout.q))
+        columns[self.layout.series] = np.diag(self.start_std[self.layout.series])
+        return columns
+
     def jumps_in_step(self, F: Array, H: float) -> Array:
         """Return the responses (N + past,4 q2) at the end of a step H (s) to jumps in it, for slopes F (N,N) of ẋ."""
         layout = self.layout

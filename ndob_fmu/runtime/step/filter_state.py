@@ -16,6 +16,7 @@ class JumpBank:
     evidence (2 L q2,3), precision (2 L q2,3,3): of their sizes, from the innovations since: Σ ρ e/α and Σ ρ ρᵀ/α.
     log_weight (2 L q2,): logarithm of the weight without that evidence, over that of no jump; −∞ for an empty place.
     newest_age: time since the last hypotheses were added (s).
+    since_jump: samples since a jump was certain, counted up to a limit.
     """
 
     signatures: Array
@@ -23,6 +24,7 @@ class JumpBank:
     precision: Array
     log_weight: Array
     newest_age: float
+    since_jump: int
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ _MENTIONED, _CERTAIN = 0.3, 0.95
 _SOME = 4.0  # a smaller aᵀν̂ leaves every weight below that
 # Without evidence, a jump before more samples than these would have shown.
 _UNSEEN = 3
+# A second jump within so many samples means that the derivatives of d have changed too.
+LONG_AGO = 24
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ def empty_bank(rows: int, q: int) -> JumpBank:
         precision=np.zeros((size, _NODES, _NODES)),
         log_weight=np.full(size, -np.inf),
         newest_age=np.inf,
+        since_jump=LONG_AGO,
     )
 
 
@@ -134,6 +137,7 @@ def with_newest(bank: JumpBank, newest: Array, spacing: float) -> JumpBank:
         precision=np.concatenate([bank.precision[count:], np.zeros((count, _NODES, _NODES))]),
         log_weight=np.append(bank.log_weight[count:], np.tile(_LOG_PROBABILITIES, count // _KINDS)),
         newest_age=0.0,
+        since_jump=bank.since_jump,
     )
 
 

@@ -23,7 +23,7 @@ from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.fixed_lag import empty_lag, smoothed
-from ndob_fmu.runtime.step.jump_bank import Mixture, accept, empty_bank, gain, mixture
+from ndob_fmu.runtime.step.jump_bank import LONG_AGO, Mixture, accept, empty_bank, gain, mixture
 
 # After refused samples of this improbability, in nats, the estimate is wrong, not the samples.
 _HOPELESS = 40.0
@@ -183,7 +183,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         ratio[i] = adaptive_noise.averaged(
             float(ratio[i]), float(counted[i]), error * left / told[i], alpha / told[i], weight
         )
-    bank = JumpBank(signatures, evidence, precision, log_weight, jumps.newest_age)
+    bank = JumpBank(signatures, evidence, precision, log_weight, jumps.newest_age, min(jumps.since_jump + 1, LONG_AGO))
     sensors = replace(
         sensors,
         noise_ratio=ratio if memory.age > model.layout.size else sensors.noise_ratio,
@@ -204,8 +204,9 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
     if added.certain >= 0:
         shift, more = accept(bank, added.certain, model.jump_precision)
         xi = xi + shift
-        factor = np.hstack([factor, more])
-        bank = empty_bank(len(xi), model.layout.q)
+        columns_of_series = model.start_columns if bank.since_jump < LONG_AGO else np.zeros_like(model.start_columns)
+        factor = np.hstack([factor, more, columns_of_series])
+        bank = replace(empty_bank(len(xi), model.layout.q), since_jump=0)
         # What looked like an outlier was the jump, whose size it has told.
         used = np.array(measured)
         sensors = replace(
