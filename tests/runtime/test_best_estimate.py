@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 import sympy
 
 from ndob_fmu.codegen.compile_model import compile_model
@@ -235,48 +236,53 @@ def test_the_error_bar_with_uncertain_parameters_is_that_of_the_errors_over_all_
     assert estimate.d_std[0] < 0.9 * nothing[-1].d_std[0]
 
 
+# Where a jump is expected, in parts of a step, and the shares of its variance.
+AT_SAMPLE = (((0.0, 1.0),), ((0.5 - 0.15**0.5, 5 / 18), (0.5, 8 / 18), (0.5 + 0.15**0.5, 5 / 18)))
+
+
+def knowing(batch, F, instants, V):
+    """Return a batch at the end of a step that knows that d jumped in this step, by sizes of the shares of V."""
+    told = Batch(np.zeros(len(F)), np.ones(len(F)))
+    told.nodes = list(batch.nodes)
+    told.rows, told.values, told.variances = (list(part) for part in (batch.rows, batch.values, batch.variances))
+    for instant, share in instants:
+        told.add(scipy.linalg.expm(F * H * (1.0 - instant))[:, n], share * V)
+    return told
+
+
 def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
-    """One filter and corrections of rank one, against a batch for each hypothesis, which knows when d jumped."""
-    case = Case(seed=3)
-    V = 2.0 * BOUND**2
-    state, added, told = case.observer.init((0.0,) * n), [], {}
-    checked = 0
+    """One filter and corrections of rank three, against a batch for each hypothesis, which knows when d jumped."""
+    case, V = Case(seed=3), 2.0 * BOUND**2
+    state, told, checked = case.observer.init((0.0,) * n), [], 0
     for k in range(COUNT):
         y = case.sample(k * H, k)
-        for batch in (case.batch, *told.values()):
+        for batch in (case.batch, *told):
             for i in range(p):
                 batch.measure(k, case.C[i], y[i], case.variance[i])
-        before = case.batch
         state, _ = case.observer.step_by_definition(state, U, y, H)
-        bank = state.memory.jumps
-        if bank.newest_age <= 1.5 * H:
-            jumped = Batch(np.zeros(n + ORDER), np.ones(n + ORDER))
-            jumped.nodes = list(before.nodes)
-            jumped.rows, jumped.values, jumped.variances = (
-                list(part) for part in (before.rows, before.values, before.variances)
-            )
-            jumped.add(np.eye(n + ORDER)[n], V)
-            added.append(k)
-            told[k] = jumped
-        for batch in (case.batch, *told.values()):
-            case.batch, kept = batch, case.batch
+        plain = case.batch
+        for batch in (plain, *told):
+            case.batch = batch
             case.go(H)
-            case.batch = kept
-        xi = np.array(state.xi_hat[: n + ORDER])
-        for place, when in enumerate(reversed(added[-len(bank.evidence) :])):
-            hypothesis = len(bank.evidence) - 1 - place
-            variance = 1.0 / (bank.precision[hypothesis] + 1.0 / V)
-            signature = bank.signatures[: n + ORDER, hypothesis]
-            mean, covariance = told[when].estimate()
-            _, plain = case.batch.estimate()
-            corrected = xi + signature * bank.evidence[hypothesis] * variance
-            np.testing.assert_allclose(corrected, mean, rtol=0, atol=1e-8 * BOUND)
-            np.testing.assert_allclose(
-                plain + variance * np.outer(signature, signature), covariance, rtol=1e-6, atol=1e-8 * np.max(covariance)
-            )
-            evidence = told[when].log_likelihood() - case.batch.log_likelihood()
-            gained = 0.5 * bank.evidence[hypothesis] ** 2 * variance - 0.5 * np.log1p(bank.precision[hypothesis] * V)
-            assert gained == pytest.approx(evidence, abs=1e-6)
+        case.batch = plain
+        bank, xi = state.memory.jumps, np.array(state.xi_hat[: n + ORDER])
+        if bank.newest_age == 0.0:
+            told += [knowing(plain, case.F, instants, V) for instants in AT_SAMPLE]
+        told = told[-len(bank.log_weight) :]
+        for batch, hypothesis in zip(reversed(told), reversed(range(len(bank.log_weight))), strict=False):
+            shares = np.array([share for _, share in AT_SAMPLE[hypothesis % 2]])
+            nodes = len(shares)
+            precision = bank.precision[hypothesis, :nodes, :nodes]
+            of_size = np.linalg.inv(precision + np.diag(1.0 / (shares * V)))
+            evidence = bank.evidence[hypothesis, :nodes]
+            signatures = bank.signatures[: n + ORDER, 3 * hypothesis : 3 * hypothesis + nodes]
+            mean, covariance = batch.estimate()
+            corrected = plain.estimate()[1] + signatures @ of_size @ signatures.T
+            np.testing.assert_allclose(xi + signatures @ of_size @ evidence, mean, rtol=0, atol=1e-8 * BOUND)
+            np.testing.assert_allclose(corrected, covariance, rtol=0, atol=1e-7 * np.max(covariance))
+            gained = 0.5 * evidence @ of_size @ evidence
+            gained -= 0.5 * np.linalg.slogdet(np.eye(nodes) + V * np.diag(shares) @ precision)[1]
+            assert gained == pytest.approx(batch.log_likelihood() - plain.log_likelihood(), abs=1e-6)
             checked += 1
-    assert len(added) >= 3
-    assert checked > 30
+    assert len(told) >= 6
+    assert checked > 60

@@ -5,12 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from tests.runtime.test_sampled_observer import Run, observer_of, sine
 
 H, SIGMA, BOUND = 5e-3, 1e-4, 5.0
 SINE = sine(1.0, 0.5 * BOUND)
-JUMP = [Generator(KINDS["step"], 0.9 * BOUND, 0.0, 1.2 + 0.3 * H)]
+JUMP_AT = 1.2 + 0.3 * H
+
+
+class Jump:
+    """A disturbance that jumps from one bound to the other."""
+
+    breaks = (JUMP_AT,)
+
+    def __call__(self, t):
+        return -BOUND if t < JUMP_AT else BOUND
 
 
 class Faults:
@@ -85,7 +93,7 @@ def test_a_sensor_that_sticks_for_twelve_samples_is_not_believed(seed):
 @pytest.mark.parametrize("outliers", [0.0, 0.02])
 def test_a_jump_of_the_disturbance_is_found_within_a_few_samples(outliers, seed):
     faults = Faults(outlier(50.0), probability=outliers, seed=seed)
-    jumped = run(faults, disturbance=JUMP, seed=seed)
+    jumped = run(faults, disturbance=[Jump()], seed=seed)
     after = np.flatnonzero(jumped.time > 1.2)
     assert rms(jumped) <= 0.18
     assert np.max(np.abs(jumped.at_sample[after[15] :])) <= 0.35 * BOUND
