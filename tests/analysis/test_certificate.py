@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.numerics.exponential import exponential
+from ndob_fmu.runtime.step.converged_step import converged_step
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
@@ -120,6 +123,28 @@ def test_the_worst_disturbance_of_the_class_comes_within_a_factor_two_of_the_bou
     assert np.all(found[:, 2:] <= bound.states + 1e-12)
 
 
+@pytest.mark.parametrize(("order", "H"), [(1, 2e-3), (2, 5e-3), (3, 1e-2)])
+def test_the_bound_is_that_of_the_frozen_gain(order, H):
+    observer = observer_for(FLEXIBLE, order)
+    bound, eq = certificate_of(observer, H), observer.equations
+    rate, steps = float(observer.known.disturbance_rate[0]), round(WARM_UP / H)
+    played = Played(worst_rates(observer, H, rate, steps, 4), H / 4, order)
+    frozen = converged_step(eq, observer.parameters, observer.designs.at(H, H), H)
+    every_sample = replace(frozen.gain, gate=(np.inf,) * len(eq.outputs))
+    plant, C = Plant(eq, observer.parameters, [played]), observer.system.linear.C
+    u = [0.0] * len(eq.inputs)
+    x, state = plant.init(eq.x0, 0.0), observer.init(eq.x0)
+    xi, squares = state.xi_hat, state.squares
+    for k in range(steps + 1):
+        done = frozen.observer_step(xi, (*u, *(C @ x.x)), squares, frozen.constants, every_sample, H)
+        at_sample = abs(done.xi_at_sample[len(eq.states)] - played(k * H))
+        assert at_sample <= bound.at_sample[0]
+        xi, squares = done.xi_hat, done.squares
+        x = plant.step(x, u, [0.0], (k + 1) * H)
+        assert np.all(np.abs(np.subtract(xi[: len(eq.states)], x.x)) <= bound.states + 1e-12)
+    assert bound.at_sample[0] <= 2.0 * at_sample
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_the_bound_holds_for_random_disturbances_of_the_class(seed):
     random = np.random.default_rng(seed)
@@ -219,3 +244,28 @@ def test_theorem_3_gives_the_figures_of_its_derivation_and_is_looser_as_printed(
     assert printed == pytest.approx(0.12, abs=0.02)
     low = paper_gains(linear, pi=1e4, alpha=1.0).riccati.Q
     assert theorem_3_bound(low, pi=1e4, alpha=1.0, lipschitz=10.0, disturbance_bound=2.0) == float("inf")
+
+
+def theorem_3_factor(pi, *, printed=False):
+    """Return β of Theorem 3 in the example, as derived or as printed."""
+    Q = paper_gains(linear_part(FLEXIBLE), pi=pi, alpha=1.0).riccati.Q
+    return float(np.sqrt(np.linalg.norm(Q, 2) / ((1.0 if printed else 2.0) * pi)))
+
+
+def test_theorem_3_gives_a_bound_from_a_lower_pi_on_than_its_printed_form():
+    Q = paper_gains(linear_part(FLEXIBLE), pi=1e8, alpha=1.0).riccati.Q
+    at_1e8 = theorem_3_bound(Q, pi=1e8, alpha=1.0, lipschitz=10.0, disturbance_bound=2.0)
+    assert at_1e8 == pytest.approx(1.106, abs=0.001)
+    assert theorem_3_factor(1e8, printed=True) * 10.0 >= 1.0
+    assert theorem_3_factor(2.5e7) * 10.0 > 1.0 > theorem_3_factor(3.5e7) * 10.0
+
+
+def test_the_constants_with_which_theorem_5_calls_its_input_regular_grow_with_pi():
+    # v' contains √π W C (A x̃ + G v). Were M₀ ≥ √π ‖W C A‖ ‖x̃‖ bounded, K of Lemma 4 would not depend on π.
+    linear = linear_part(FLEXIBLE)
+    of_state, beta = [], []
+    for pi in (1e10, 1e12, 1e14):
+        of_state.append(np.sqrt(pi) * np.linalg.norm(paper_gains(linear, pi=pi, alpha=1.0).W @ linear.C @ linear.A, 2))
+        beta.append(theorem_3_factor(pi))
+    np.testing.assert_allclose(np.divide(of_state[1:], of_state[:-1]), 10.0, rtol=1e-6)
+    np.testing.assert_allclose(np.divide(beta[1:], beta[:-1]), 100.0 ** (-1 / 8), rtol=0.01)
