@@ -36,7 +36,8 @@ class FilterModel:
     """An observer's constants.
 
     layout: of ξ
-    noise_variance (p,): of the samples, as told, times the square of the tuning's scale
+    noise_variance (p,): of the samples, as told, times the square of the scale
+    scale: factor on the standard deviations of all noises, as in `Intensities`
     start_std (N,): standard deviations of ξ before the first sample
     least_noise (p,): the least ratio of a variance of noise to the one that was told
     jump_spacing: between two hypotheses of a jump (s)
@@ -47,6 +48,7 @@ class FilterModel:
     settings: ObserverSettings
     layout: Layout
     noise_variance: Array = field(repr=False)
+    scale: float
     start_std: Array = field(repr=False)
     least_noise: Array = field(repr=False)
     jump_spacing: float

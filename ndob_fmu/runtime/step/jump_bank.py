@@ -30,7 +30,7 @@ _NONE = 1e-200  # stands for the weight of a node that a hypothesis does not hav
 _WEIGHTS = np.array([[1.0, _NONE, _NONE], [5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0]])
 _KINDS = len(_WEIGHTS)
 # Hypotheses of less weight are not worth a correction; those of more replace the filter's state.
-_MENTIONED, _CERTAIN = 0.3, 0.95
+_MENTIONED, _CERTAIN = 0.4, 0.95
 _SOME = 4.0  # a smaller aᵀν̂ leaves every weight below that
 # Without evidence, a jump before more samples than these would have shown.
 _UNSEEN = 3

@@ -198,9 +198,6 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 0.5 / MEMORY)), sensors.interval),
     )
     added = mixture(bank, model.jump_precision)
-    if added.shift.any():
-        # What a jump explains tells nothing of the noise.
-        sensors = replace(sensors, noise_ratio=memory.sensors.noise_ratio, counted=memory.sensors.counted)
     if added.certain >= 0:
         shift, more = accept(bank, added.certain, model.jump_precision)
         xi = xi + shift
@@ -354,7 +351,7 @@ def bounded(model: FilterModel, xi: Array, factor: Array) -> tuple[Array, Array]
 
     The bound counts as a measurement of d = 0 that leaves the standard deviation D₀.
     """
-    for j, bound in enumerate(model.bound.tolist() if model.layout.order else ()):
+    for j, bound in enumerate((model.bound * model.scale).tolist() if model.layout.order else ()):
         place = model.layout.n + j
         seen = factor[place]
         variance = float(seen @ seen)

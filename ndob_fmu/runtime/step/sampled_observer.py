@@ -361,6 +361,7 @@ class SampledObserver:
             settings=settings,
             layout=self.layout,
             noise_variance=(self.noise_std * scale) ** 2,
+            scale=scale,
             start_std=np.concatenate(
                 [
                     np.diag(start.factor),
