@@ -99,11 +99,12 @@ def test_a_jump_of_the_disturbance_is_found_within_a_few_samples(outliers, seed)
     assert np.max(np.abs(jumped.at_sample[after[15] :])) <= 0.35 * BOUND
 
 
-@pytest.mark.parametrize(("told", "largest"), [(0.1, 0.042), (10.0, 0.046)])
-def test_noise_that_was_told_wrong_is_found_in_the_innovations(told, largest):
-    runs = [run(told=told * SIGMA, seed=seed, stop=4.0) for seed in range(2)]
-    assert np.mean([rms(r, 1.5) for r in runs]) <= largest
-    assert np.mean([inside(r, 1.5) for r in runs]) >= 0.90
+@pytest.mark.parametrize("told", [0.1, 10.0])
+def test_noise_that_was_told_wrong_is_found_in_the_innovations(told):
+    """The same samples with the right noise are the measure: without adaptation a tenth costs six times as much."""
+    wrong, right = ([run(told=t * SIGMA, seed=seed, stop=4.0) for seed in range(2)] for t in (told, 1.0))
+    assert np.mean([rms(r, 1.5) for r in wrong]) <= 1.15 * np.mean([rms(r, 1.5) for r in right])
+    assert np.mean([inside(r, 1.5) for r in wrong]) >= 0.90
 
 
 def test_noise_that_was_told_right_stays_as_told():
