@@ -1,6 +1,7 @@
 """Bounds of the estimate's error, for every disturbance and nonlinearity of the declared class.
 
-They hold for the sampled-data observer at its own step H, channel by channel. Between samples ξ̃' = A ξ̃ + B w + G_f φ.
+They hold for the frozen gain of the sampled-data observer at its own step H, channel by channel; not while the
+covariance runs. Between samples ξ̃' = A ξ̃ + B w + G_f φ.
 |w| ≤ D bounds d's r-th derivative, and φ = f(x) − f(x̂) has ‖φ‖ ≤ γ ‖x̃_f‖ for the states x̃_f that f depends on. At a
 sample ξ̃⁺ = (I − K C) ξ̃⁻ − K v, with |v| ≤ v̄. The largest output that bounded inputs can cause is the L1 norm of the
 impulse response. If the loop gain γ ‖φ → x̃_f‖₁ is below one, the small-gain theorem bounds φ, and with it every error.

@@ -40,7 +40,7 @@ class SampledDataDesign(PaperDesign):
     predicted_noise (q2,): standard deviation of d̂ at the sample.
     error_bar, lagged_error_bar (q2,): `<disturbance>_std` and `_lagged_std` once they have settled.
     lag: of the lagged estimate (s).
-    certificate: bounds of the errors without noise.
+    certificate: bounds of the errors of the frozen gain, without noise.
     warnings: what to change, one sentence each.
     """
 
@@ -110,7 +110,9 @@ class SampledDataDesign(PaperDesign):
                 f"{name} {value:.3g}" for name, value in zip(self.disturbances, bounds.at_sample, strict=True)
             )
             of_x = ", ".join(f"{value:.2g}" for value in bounds.states)
-            lines.append(f"without noise, never more than: {of_d}; states {of_x} (loop gain {bounds.loop_gain:.2g})")
+            lines.append(
+                f"frozen gain without noise, never more than: {of_d}; states {of_x} (loop gain {bounds.loop_gain:.2g})"
+            )
         else:
             lines.append(f"no bound: the loop gain through f is {bounds.loop_gain:.3g}, not below 1")
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
