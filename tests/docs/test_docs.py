@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pytest
 
 from ndob_fmu.cli import command_parser
@@ -170,8 +171,59 @@ def test_the_tolerances_in_the_pages_are_those_of_the_code():
     assert f"a relative tolerance of {_short(RELATIVE_TOLERANCE)}" in plant
 
 
+def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
+    theory = " ".join((DOCS / "theory.md").read_text("utf-8").split())
+    bank, fast, faulty, late, lag, noise, update, time = (
+        import_module(f"ndob_fmu.runtime.step.{name}")
+        for name in (
+            "jump_bank",
+            "converged_step",
+            "faulty_samples",
+            "delayed_outputs",
+            "fixed_lag",
+            "adaptive_noise",
+            "measurement_update",
+            "time_update",
+        )
+    )
+    observer, track = (import_module(f"ndob_fmu.runtime.step.{name}") for name in ("sampled_observer", "tracking_step"))
+    at_sample, inside = np.exp(bank._LOG_PROBABILITIES)
+    share = 1.0 / (1.0 + np.exp(-faulty._LOG_ODDS))
+    outliers = " or ".join((", ".join(f"α + {_short(v)} R" for v in faulty._OUTLIERS)).rsplit(", ", 1))
+    said = [
+        f"|e| > {faulty.SUSPICIOUS} √α",
+        f"α replaced by e²/{faulty.SUSPICIOUS}²",
+        f"| outlier | {share:.2f}; as likely",
+        f"normal, variance {outliers}",
+        f"at least {_short(faulty._RAREST_REPEAT)}, if it repeats",
+        f"the probability e⁻{str(-int(faulty._LOG_ODDS_AT_START)).translate(SUPERSCRIPT)}",
+        f"at most {update._MOST_DEBT:g} nats",
+        f"Beyond {update._HOPELESS:g} nats ({update._PATIENCE * update._HOPELESS:g} where",
+        f"e/√α exceeds {update._WRONG}, not the samples",
+        f"Beyond {update._LOST**2:g}-fold, P starts again",
+        f"V = {bank._VARIANCE:g} D₀² and p = {at_sample + inside:.3g} a sample",
+        f"the last {bank.LENGTH} steps: a jump at the sample ({at_sample / (at_sample + inside):.1g})",
+        f"exceed {bank._MENTIONED}, what is published",
+        f"exceed {bank._CERTAIN}, and the likeliest",
+        f"within {bank.LONG_AGO} samples",
+        f"over about {noise._MEMORY:g} samples replaces",
+        f"by ({update._CLEAR:g} R/α)²",
+        f"{lag._KEPT} instants are kept over the `lag`",
+        f"{late.PLACES} instants are kept; a delay of more than {late._KEPT} steps",
+        f"by more than {time._STRAIGHT}/H, the step is taken in 2 to {time._MOST_PARTS} parts",
+        f"at most {observer._AS_GOOD}² times",
+        f"within {100.0 * fast._NONLINEAR:g} % of the converged ones ({_short(fast._LINEAR)} for",
+        f"between {fast._LEAST_SQUARES} and {fast._MOST_SQUARES:g}",
+        f"for {track.LATE} times the longest usual interval",
+    ]
+    assert [phrase for phrase in said if phrase not in theory] == []
+
+
+SUPERSCRIPT = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
 def _short(number):
-    return f"{number:.0e}".replace("e-0", "e-")
+    return f"{number:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 
 
 def test_the_measures_and_entries_of_studies_are_all_documented():
