@@ -1,4 +1,4 @@
-"""The bound holds in every run, and the worst run that can be found comes close to it."""
+"""The bound holds in every run with the frozen gain, and the worst run that can be found comes close to it."""
 
 from __future__ import annotations
 
