@@ -134,6 +134,14 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
                 again=again,
                 starting=memory.age < model.start_samples,
             )
+            own_spread = float(spread @ spread)
+            if verdict.refused and memory.age < model.start_samples and not repeats[i] and own_spread > 0.0:
+                # The start is further off than its covariance says, more likely than the sample is.
+                growth = sqrt(max((squared * alpha / SUSPICIOUS**2 - noise[i]) / own_spread, 1.0))
+                factor, spread = factor * growth, spread * growth
+                alpha = growth**2 * own_spread + noise[i]
+                squared = error * error / alpha
+                verdict = replace(verdict, refused=False)
             refused[i] = verdict.refused
             if verdict.refused:
                 fault = True
