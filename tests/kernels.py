@@ -31,7 +31,6 @@ NUMERICAL = [
             "stationary_design",
             "tuning",
             "intensity_law",
-            "tracking_design",
             "riccati",
             "minimum_phase",
             "exponential",

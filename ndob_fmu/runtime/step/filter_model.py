@@ -39,6 +39,7 @@ class FilterModel:
     noise_variance (p,): of the samples, as told, times the square of the scale
     scale: factor on the standard deviations of all noises, as in `Intensities`
     start_std (N,): standard deviations of ξ before the first sample
+    undriven (n,): intensity of the noise on states that nothing else drives, over the step
     least_noise (p,): the least ratio of a variance of noise to the one that was told
     jump_spacing: between two hypotheses of a jump (s)
     """
@@ -50,6 +51,7 @@ class FilterModel:
     noise_variance: Array = field(repr=False)
     scale: float
     start_std: Array = field(repr=False)
+    undriven: Array = field(repr=False)
     least_noise: Array = field(repr=False)
     jump_spacing: float
 

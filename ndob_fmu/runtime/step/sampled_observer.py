@@ -24,6 +24,7 @@ from ndob_fmu.runtime.design.start_up import start_up
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign
 from ndob_fmu.runtime.design.step_designs import StepDesigns
 from ndob_fmu.runtime.design.tuning import Knowledge, bandwidth_of, squared_errors
+from ndob_fmu.runtime.design.undriven_noise import undriven_noise
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.linear_part import LinearPart
@@ -84,6 +85,7 @@ class SampledObserver:
     layout: of ξ
     noise_std (p,): of the samples, at least their rounding
     rounding (p,): that rounding
+    undriven (n,): intensity of the noise on states that nothing else drives, over the step
     designs: the stationary design for each step size, with f as noise
     tracking: the same with f's slopes at x̂₀ known
     longest: the longest step (s) that is tried
@@ -95,6 +97,7 @@ class SampledObserver:
     layout: Layout
     noise_std: Array
     rounding: Array
+    undriven: Array
     designs: StepDesigns
     tracking: StepDesigns
     longest: float
@@ -331,7 +334,13 @@ class SampledObserver:
     @property
     def _may_freeze(self) -> bool:
         settings, layout = self.settings, self.layout
-        plain = not (layout.biased or layout.uncertain or any(settings.sensors.delay) or any(settings.state_noise))
+        plain = not (
+            layout.biased
+            or layout.uncertain
+            or any(settings.sensors.delay)
+            or any(settings.state_noise)
+            or any(self.undriven)
+        )
         return plain and settings.lag == 0.0
 
     def _frozen(self, tuned: Tuned, after: SampledObserverState, measured: Measured, H: float) -> SampledObserverState:
@@ -369,6 +378,7 @@ class SampledObserver:
                     [settings.parameter_std[i] for i in self.layout.uncertain],
                 ]
             ),
+            undriven=self.undriven,
             least_noise=np.ones(len(self.noise_std))
             if scale > 1.0
             else np.maximum((self.rounding / self.noise_std) ** 2, LEAST_RATIO),
@@ -398,6 +408,7 @@ def sampled_observer(
     known = Knowledge(
         R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate, lipschitz=equations.lipschitz
     )
+    tangent = _tangent(equations, parameters, linear, x_hat)
     return SampledObserver(
         equations=equations,
         parameters=parameters,
@@ -411,6 +422,7 @@ def sampled_observer(
         ),
         noise_std=noise,
         rounding=rounding,
+        undriven=_undriven(tangent, settings, x_hat),
         designs=StepDesigns(
             system=augment(linear, order),
             known=known,
@@ -420,7 +432,7 @@ def sampled_observer(
             f_states=equations.f_states,
         ),
         tracking=StepDesigns(
-            system=augment(_tangent(equations, parameters, linear, x_hat), order),
+            system=augment(tangent, order),
             known=replace(known, lipschitz=0.0),
             x_std=std,
             alpha=settings.alpha,
@@ -429,6 +441,15 @@ def sampled_observer(
         ),
         longest=longest_step(equations, linear),
     )
+
+
+def _undriven(tangent: LinearPart, settings: ObserverSettings, x_hat: Vector) -> Array:
+    """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ and its error."""
+    if settings.order == 0:
+        return np.zeros(len(tangent.A))
+    noise = np.diag(np.array(settings.state_noise, dtype=float))
+    size = np.abs(np.array(x_hat, dtype=float)) + np.array(settings.x_std, dtype=float)
+    return undriven_noise(tangent.A, tangent.C, np.hstack([tangent.G_d, noise]), size, 1.0)
 
 
 def _tangent(equations: Equations, parameters: Vector, linear: LinearPart, x_hat: Vector) -> LinearPart:

@@ -41,7 +41,7 @@ def predict(
     intensity (q2,): of the noise behind the r-th derivative of d
     starting: whether ξ̂ may be far off
     """
-    channel = _noise_channel(model, intensity)
+    channel = _noise_channel(model, intensity, H)
     end = predict_mean(model, xi, u, H)
     F, F_end = model.slopes(xi, u).F, model.slopes(end, u).F
     change = float(np.max(np.sum(np.abs(F_end - F), axis=0))) * H
@@ -75,13 +75,14 @@ def _predict_factor(
     return Phi, triangular(whole)
 
 
-def _noise_channel(model: FilterModel, intensity: Array) -> Array:
+def _noise_channel(model: FilterModel, intensity: Array, H: float) -> Array:
     """Return the channel (N,·) of white noise of intensity one."""
     layout = model.layout
     columns = [layout.last_derivative * np.sqrt(intensity)]
-    noisy = np.flatnonzero(np.array(model.settings.state_noise))
+    of_states = np.sqrt(np.array(model.settings.state_noise) ** 2 + model.undriven * H)
+    noisy = np.flatnonzero(of_states)
     if len(noisy):
-        columns.append(np.eye(layout.size)[:, noisy] * np.array(model.settings.state_noise)[noisy])
+        columns.append(np.eye(layout.size)[:, noisy] * of_states[noisy])
     return np.hstack(columns)
 
 
