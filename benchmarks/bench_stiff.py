@@ -12,7 +12,8 @@ from benchmarks.timing import take_turns
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
-from ndob_fmu.runtime.step.time_update import predict_state
+from ndob_fmu.runtime.step.layout import Layout
+from ndob_fmu.runtime.step.time_update import predict_plant
 
 STEP = 1e-2
 TIME_CONSTANTS = (1.0, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -38,10 +39,11 @@ def predictions(time_constant):
     model = lagged_motor(time_constant)
     eq, p = compile_model(model), model.parameter_values()
     xi_hat = np.array([*START, 0.5, 3.0])
+    layout = Layout(n=3, q=1, order=2, biased=(), uncertain=())
 
     def steps():
         for _ in range(COUNT):
-            predict_state(eq, p, xi_hat, xi_hat[3:4], (0.2,), STEP)
+            predict_plant(eq, layout, p, xi_hat, (0.2,), STEP, None)
 
     return steps
 

@@ -258,7 +258,9 @@ def test_simulate_opens_a_window_with_units_and_legends(flexible_joint, capsys, 
     assert main(["simulate", str(flexible_joint.system), "--stop-time", "0.1", "--show-plot"]) == 0
     capsys.readouterr()
     assert shown["plant [rad/s]"] == ["link_rate", "motor_rate"]
-    assert shown["observer [N·m]"] == ["load_torque_hat", "load_torque_at_sample", "load_torque_std"]
+    assert shown["observer [N·m]"] == [
+        f"load_torque_{suffix}" for suffix in ("hat", "at_sample", "std", "lagged", "lagged_std")
+    ]
 
 
 def test_a_window_where_there_is_no_screen_ends_in_one_line(flexible_joint, monkeypatch, capsys):

@@ -423,7 +423,8 @@ def test_the_observer_coasts_over_bad_samples_and_recovers(flexible_joint, metho
             assert np.all(np.isfinite(list(got.values())))
             estimate.append(got["load_torque_hat"])
             valid.append(got["valid"] == 1.0)
-    assert [k for k in range(len(valid)) if not valid[k]] == list(dark)
+    # Method 2 goes on with the other sensor.
+    assert [k for k in range(len(valid)) if not valid[k]] == (list(dark) if method == 1 else [])
     assert np.abs(np.array(estimate[dark.start : dark.stop]) - 2.0).max() < 0.1
     assert np.abs(np.array(estimate[-100:]) - 2.0).max() < 0.1
 

@@ -115,7 +115,7 @@ def set_(library: Library, memory: Memory, references: list[int], values: list) 
         return {ERROR}
     status = OK
     for variable, value in zip(variables, values, strict=True):
-        memory.values[variable.reference] = value
+        memory.values[variable.reference] = int(value != 0) if variable.type == "Boolean" else value
         memory.refused.discard(variable.reference)
         if variable.causality == "parameter" and not acceptable(variable, value):
             memory.refused.add(variable.reference)

@@ -220,7 +220,7 @@ def test_the_error_bar_is_honest_from_the_first_sample_on():
 
 def test_the_gain_is_frozen_once_it_has_converged():
     observer = observer_of(noise_std=1e-5)
-    run = Run(observer, constant(), 5e-3, 2.0)
+    run = Run(observer, constant(), 5e-3, 2.0, sigma=1e-5)
     assert run.state.memory.converged
     np.testing.assert_array_equal(run.state.memory.factor, observer.design(5e-3).prior_factor)
 
@@ -276,10 +276,9 @@ def spoiled(how, order=2):
     [
         lambda k, y, last: y * np.nan,
         lambda k, y, last: np.array([np.inf, -np.inf]),
-        lambda k, y, last: y + np.array([-0.7, 1.0]),
         lambda k, y, last: y + 0.3 * (-1.0) ** k,
     ],
-    ids=["nan", "inf", "an outlier", "a flickering sensor"],
+    ids=["nan", "inf", "flickering sensors"],
 )
 def test_bad_samples_are_flagged_coasted_over_and_recovered_from(how):
     run = spoiled(how)

@@ -21,7 +21,8 @@ from ndob_fmu.runtime.equations import ObserverDefaults
 from ndob_fmu.runtime.numerics import stiff
 from ndob_fmu.runtime.numerics.integrate import adapt_in_few, cash_karp, integrate
 from ndob_fmu.runtime.numerics.stiff import integrate_any, integrate_stiff
-from ndob_fmu.runtime.step.time_update import predict_state
+from ndob_fmu.runtime.step.layout import Layout
+from ndob_fmu.runtime.step.time_update import predict_plant
 
 H = 0.01
 # What is required of a stiff plant, of the size of each state; the integrator's own tolerance leaves less.
@@ -318,8 +319,8 @@ def test_the_prediction_of_a_stiff_plant_agrees_with_radau(order):
     eq, counts = counted(motor_with_lag())
     series = [0.8, -3.0, 40.0][:order]
     xi_hat = np.array([0.3, -0.2, 0.7, *series])
-    held = np.array([0.8])
-    found = predict_state(eq, (1e6,), xi_hat, held, (2.0,), H)
+    layout = Layout(n=3, q=1, order=order, biased=(), uncertain=())
+    found = predict_plant(eq, layout, (1e6,), xi_hat, (2.0,), H, None if order else np.array([0.8]))
     assert counts["derivatives"] <= 6 * 30 + 100
     d = series or [0.8]
 

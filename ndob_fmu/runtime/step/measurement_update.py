@@ -32,6 +32,7 @@ _MOST_DEBT = 10.0  # of one sample
 # The square of a mean over the mean of the squares: 1 for equal numbers.
 _ONE_SIGN = 0.5
 _PATIENCE = 10.0
+_NOISY = 130.0  # the same for samples on both sides
 _LOST = 5.0
 # Innovations tell of the noise where it makes more than this part of their variance.
 _CLEAR = 6.0
@@ -265,7 +266,7 @@ def _refuted(sensors: SensorMemory) -> NDArray[np.bool_]:
     agreed = np.array(
         [len(sensors.refused) > 1 and not np.all(np.delete(sensors.refused, i)) for i in range(len(sensors.refused))]
     )
-    limit = np.where(agreed & _of_one_sign(sensors), _PATIENCE * _HOPELESS, _HOPELESS)
+    limit = np.where(_of_one_sign(sensors), np.where(agreed, _PATIENCE * _HOPELESS, _HOPELESS), _NOISY)
     return np.asarray(sensors.debt > limit)
 
 

@@ -165,7 +165,7 @@ class SampledObserver:
             and not np.any(np.isnan(memory.jumps.log_weight))
             and not np.any(memory.jumps.log_weight == np.inf)
             and memory.jumps.newest_age >= 0.0
-            and np.all(memory.jumps.precision >= 0.0)
+            and np.all(np.diagonal(memory.jumps.precision, axis1=1, axis2=2) >= 0.0)
             and memory.tuned_at >= 0.0
             and memory.step >= 0.0
             and memory.age >= 0
@@ -285,14 +285,20 @@ class SampledObserver:
             memory = replace(memory, tuned_at=tuned_at)
         state = replace(state, u=inputs if np.all(np.isfinite(inputs)) else state.u, memory=memory)
         tuned = self.tuned(tuned_at)
+        try:
+            after, estimate, measured = self._stepped(tuned, state, sample, H)
+        except (ArithmeticError, ValueError) as error:
+            raise IntegrationError(f"model: its equations cannot be evaluated at the estimate ({error})") from error
+        return self._frozen(tuned, after, measured, H), estimate
+
+    def _stepped(
+        self, tuned: Tuned, state: SampledObserverState, sample: Vector, H: float
+    ) -> tuple[SampledObserverState, Estimate, Measured]:
+        memory = state.memory
         if self.layout.order:
             noise = float(np.exp(np.mean(np.log(tuned.model.noise_ratios(memory.sensors.noise_ratio)))))
-            after, estimate, measured = step_with_covariance(tuned.model, state, sample, H, tuned.intensity(H, noise))
-        else:
-            after, estimate, measured = step_of_order_zero(
-                tuned.model, state, sample, H, self.designs.at(tuned_at, tuned_at)
-            )
-        return self._frozen(tuned, after, measured, H), estimate
+            return step_with_covariance(tuned.model, state, sample, H, tuned.intensity(H, noise))
+        return step_of_order_zero(tuned.model, state, sample, H, self.designs.at(tuned.H, tuned.H))
 
     def tuned(self, H: float) -> Tuned:
         """Return what is tuned for steps about H (s). Raises DesignError where there is no tuning."""

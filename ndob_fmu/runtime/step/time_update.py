@@ -108,7 +108,7 @@ def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array
     if done is not None:
         after[: layout.series.stop] = done.xi_hat[: layout.series.stop]
     else:
-        after[: layout.series.stop] = _by_definition(eq, layout, parameters, xi, u, H, held)
+        after[: layout.series.stop] = predict_plant(eq, layout, parameters, xi, u, H, held)
     if not np.all(np.isfinite(after)):
         raise IntegrationError("the observer's estimate leaves the finite numbers")
     return np.asarray(after)
@@ -169,7 +169,7 @@ def _no_gain(model: FilterModel) -> ConvergedGain:
     )
 
 
-def _by_definition(
+def predict_plant(
     eq: Equations, layout: Layout, parameters: Vector, xi: Array, u: Vector, H: float, held: Array | None
 ) -> Array:
     """Return x̂ and the series of d (n + r q2,) a step later, by the plant's equations."""
