@@ -174,7 +174,10 @@ class SampledObserver:
 
     def estimate(self, state: SampledObserverState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
-        innovation, std = predicted_sample(self._model(1.0, 0.0), state, y)
+        try:
+            innovation, std = predicted_sample(self._model(1.0, 0.0), state, y)
+        except (ArithmeticError, ValueError):  # the first step says that the equations cannot be evaluated
+            innovation, std = np.zeros(len(y)), self.noise_std
         x_hat = state.xi_hat[: self.layout.n]
         return Estimate(
             x_hat=x_hat,
