@@ -173,7 +173,7 @@ def test_the_tolerances_in_the_pages_are_those_of_the_code():
 
 def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
     theory = " ".join((DOCS / "theory.md").read_text("utf-8").split())
-    bank, fast, faulty, late, lag, noise, update, time = (
+    bank, fast, faulty, late, lag, noise, update, wrong, time = (
         import_module(f"ndob_fmu.runtime.step.{name}")
         for name in (
             "jump_bank",
@@ -183,6 +183,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
             "fixed_lag",
             "adaptive_noise",
             "measurement_update",
+            "reconsider",
             "time_update",
         )
     )
@@ -198,9 +199,10 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"at least {_short(faulty._RAREST_REPEAT)}, if it repeats",
         f"the probability e⁻{str(-int(faulty._LOG_ODDS_AT_START)).translate(SUPERSCRIPT)}",
         f"at most {update._MOST_DEBT:g} nats",
-        f"Beyond {update._HOPELESS:g} nats ({update._PATIENCE * update._HOPELESS:g} where",
-        f"e/√α exceeds {update._WRONG}, not the samples",
-        f"Beyond {update._LOST**2:g}-fold, P starts again",
+        f"Beyond {wrong._HOPELESS:g} nats ({wrong._PATIENCE * wrong._HOPELESS:g} where",
+        f"{wrong._NOISY:g} where e has both signs",
+        f"e/√α exceeds {wrong._WRONG}, not the samples",
+        f"Beyond {wrong._LOST**2:g}-fold, P starts again",
         f"V = {bank._VARIANCE:g} D₀² and p = {at_sample + inside:.3g} a sample",
         f"the last {bank.LENGTH} steps: a jump at the sample ({at_sample / (at_sample + inside):.1g})",
         f"exceed {bank._MENTIONED}, what is published",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -21,12 +20,6 @@ from ndob_fmu.runtime.numerics.kalman import (
     update,
     whitening,
 )
-
-# The response to a jump is followed until its distance from the final value is below this part of its largest distance,
-# and over so many samples at most. The jump is tried at these parts of its step.
-_DECAYED = 0.01
-_LONGEST_RESPONSE = 200
-_INSTANTS = (0.0, 0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True)
@@ -121,44 +114,6 @@ class StationaryDesign:
         z = self.whitened
         source = self.discrete.drive if self.system.order else self.discrete.held_disturbance
         return np.asarray(np.abs(z.C @ z.settled(forward(z.T, source))))
-
-    @cached_property
-    def jump_responses(self) -> Array:
-        """Return |y − C ξ̂⁻| (i,J+1,p,q2) around a jump of d by one: zeros, then those of the J samples after the jump.
-
-        Each i is another instant of the jump within its step. J is where they have decayed, 200 at most.
-        """
-        z, n, order = self.whitened, len(self.system.linear.A), self.system.order
-        q = self.discrete.held_disturbance.shape[1]
-
-        def error_after(duration: float) -> Array:
-            since = discretise(self.system, duration, self.alpha)
-            return forward(z.T, since.held_disturbance if order == 0 else since.Phi[:, n : n + q])
-
-        errors = np.array([error_after((1.0 - instant) * self.discrete.H) for instant in _INSTANTS])
-        lasting = error_after(self.discrete.H) if order == 0 else np.zeros((n + order * q, q))
-        settled = z.settled(lasting)
-
-        def distance_left() -> float:
-            return float(np.linalg.norm([forward(z.update, error - settled) for error in errors]))
-
-        responses = [np.zeros((len(errors), len(z.C), q)), z.C @ errors]
-        distance = largest = distance_left()
-        while distance > _DECAYED * largest and len(responses) <= _LONGEST_RESPONSE:
-            errors = z.before_sample @ errors + lasting
-            responses.append(z.C @ errors)
-            distance = distance_left()
-            largest = max(largest, distance)
-        return np.asarray(np.abs(np.stack(responses, axis=1)))
-
-    def variance_of(self, states: Sequence[int]) -> float:
-        """Return the summed variance of these states' errors before a sample if white noise of one is added to f.
-
-        It is that of the converged filter, and infinite where the errors grow without bound.
-        """
-        z = self.whitened
-        factor = converged_factor(z.before_sample, forward(z.T, self.discrete.held_f))
-        return float(np.sum((z.T[list(states)] @ factor) ** 2)) if np.all(np.isfinite(factor)) else np.inf
 
     def _ramp_error(self) -> Array:
         """Return b (n,q2) of the error before the update for r = 0 and d = t in one channel each, x̃⁻ = a t/H + b."""

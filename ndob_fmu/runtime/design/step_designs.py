@@ -51,27 +51,6 @@ class StepDesign:
         """The standard deviation (p,) of residuals once the gain has converged."""
         return steady_residual_std(self.stationary, self.source_bound)
 
-    @cached_property
-    def steady_innovation(self) -> Array:
-        """Twice the largest steady innovation (p,) that the class of disturbances causes."""
-        return np.asarray(2.0 * self.stationary.steady_innovation @ self.source_bound)
-
-    @cached_property
-    def prior_disturbance_variance(self) -> Array:
-        """The variance (q2,) of d̂ in the converged covariance before a sample; empty for r = 0."""
-        selector = self.stationary.system.selector
-        return np.zeros(0) if selector is None else squared_norms(selector @ self.stationary.prior_factor)
-
-    @cached_property
-    def prior_output_variance(self) -> Array:
-        """The variance (p,) of C ξ̂⁻ in the converged covariance before a sample."""
-        return squared_norms(self.stationary.system.C @ self.stationary.prior_factor)
-
-    @cached_property
-    def f_error_fades(self) -> bool:
-        """Whether errors of f decay: the small-gain condition on γ, in mean squares."""
-        return self.known.lipschitz**2 * self.stationary.variance_of(self.f_states) < 1.0
-
 
 @dataclass(frozen=True)
 class StepDesigns:

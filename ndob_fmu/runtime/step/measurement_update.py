@@ -22,27 +22,19 @@ from ndob_fmu.runtime.step.delayed_outputs import row_in_past
 from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
-from ndob_fmu.runtime.step.fixed_lag import empty_lag, smoothed
+from ndob_fmu.runtime.step.fixed_lag import smoothed
 from ndob_fmu.runtime.step.jump_bank import LONG_AGO, Mixture, accept, empty_bank, gain, mixture
 
-# After refused samples of this improbability, in nats, the estimate is wrong, not the samples.
-_HOPELESS = 40.0
+# What a refused sample adds at most to an output's debt, and what a used one leaves of it.
+_MOST_DEBT = 10.0
 _DEBT_LEFT = 0.5
-_MOST_DEBT = 10.0  # of one sample
-# The square of a mean over the mean of the squares: 1 for equal numbers.
-_ONE_SIGN = 0.5
-_PATIENCE = 10.0
-_NOISY = 130.0  # the same for samples on both sides
-_LOST = 5.0
 # Innovations tell of the noise where it makes more than this part of their variance.
 _CLEAR = 6.0
 # Normalised innovations are averaged over so many samples. Where their mean exceeds the limit, the estimate is biased,
 # and they do not tell of the noise.
 _LATEST = 10.0
 _BIASED = 1.0
-_WRONG = 2.5
 _LIMIT = 4.0
-_LEAST_GROWTH = 4.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +69,7 @@ class Measured:
 def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: FilterMemory, y: Vector) -> Measured:
     """Update ξ̂⁻ (N + past,) and its covariance with a sample y (p,)."""
     p, sensors, told, u = len(y), memory.sensors, model.noise_variance, state.u
-    rows = _rows(model, xi, memory, u)
+    rows = output_rows(model, xi, memory, u)
     predicted = _predicted(model, xi, u, rows)
     e = [y[i] - predicted[i] if isfinite(y[i]) and rows[i] is not None else 0.0 for i in range(p)]
     ratios = model.noise_ratios(sensors.noise_ratio)
@@ -242,7 +234,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
 def predicted_sample(model: FilterModel, state: SampledObserverState, y: Vector) -> tuple[Array, Array]:
     """Return y − ŷ (p,), 0 where nothing was measured, and the standard deviations (p,) that it should have."""
     xi = np.concatenate([model.layout.unpacked(state.xi_hat), state.memory.past])
-    rows = _rows(model, xi, state.memory, state.u)
+    rows = output_rows(model, xi, state.memory, state.u)
     predicted = _predicted(model, xi, state.u, rows)
     innovation, std = np.zeros(len(y)), np.zeros(len(y))
     for i, row in enumerate(rows):
@@ -251,108 +243,6 @@ def predicted_sample(model: FilterModel, state: SampledObserverState, y: Vector)
         if isfinite(y[i]) and row is not None:
             innovation[i] = y[i] - predicted[i]
     return innovation, std
-
-
-def is_hopeless(sensors: SensorMemory) -> bool:
-    """Return whether so many samples were refused, or all on one side, that what the observer knows must be wrong."""
-    return bool(np.any(_refuted(sensors) | (np.abs(sensors.mean) > _WRONG)))
-
-
-def _refuted(sensors: SensorMemory) -> NDArray[np.bool_]:
-    """Return for which outputs (p,) too many samples were refused.
-
-    While other samples agree with the estimate, refused ones of one sign are more likely wrong themselves.
-    """
-    agreed = np.array(
-        [len(sensors.refused) > 1 and not np.all(np.delete(sensors.refused, i)) for i in range(len(sensors.refused))]
-    )
-    limit = np.where(_of_one_sign(sensors), np.where(agreed, _PATIENCE * _HOPELESS, _HOPELESS), _NOISY)
-    return np.asarray(sensors.debt > limit)
-
-
-def _of_one_sign(sensors: SensorMemory) -> NDArray[np.bool_]:
-    return np.asarray(sensors.drift**2 > _ONE_SIGN * sensors.skipped)
-
-
-def reconsidered(model: FilterModel, xi: Array, memory: FilterMemory, sensors: SensorMemory, u: Vector) -> FilterMemory:
-    """Return the memory before a sample, once so many samples were refused that what it says must be wrong.
-
-    Refused innovations of both signs mean that the noise is larger than was told, those of one sign that the estimate
-    is worse than its covariance says. Either is enlarged until these innovations are twice their standard deviation.
-    """
-    biased = np.abs(sensors.mean) > _WRONG
-    refused = _refuted(sensors)
-    hopeless = refused | biased
-    one_sign = biased | _of_one_sign(sensors)
-    ratios = np.array(model.noise_ratios(sensors.noise_ratio))
-    noise = model.noise_variance * ratios
-    larger = hopeless & ~one_sign if model.adapts else np.zeros(len(noise), dtype=bool)
-    ratio = np.where(
-        larger, np.maximum(sensors.noise_ratio, 0.25 * sensors.skipped / model.noise_variance), sensors.noise_ratio
-    )
-    grown = float(np.max(np.where(larger, ratio / ratios, 1.0)))
-    growth = min(grown, _LEAST_GROWTH)
-    rows = _rows(model, xi, memory, u)
-    for i in np.flatnonzero(hopeless & ~larger):
-        row = rows[i]
-        spread = 0.0 if row is None else float(np.sum((row @ memory.factor) ** 2))
-        if spread > 0.0:
-            square = sensors.skipped[i] if refused[i] else sensors.mean[i] ** 2 * (spread + noise[i])
-            growth = max(growth, float(0.25 * square - noise[i]) / spread, _LEAST_GROWTH)
-    growth = float(np.sqrt(growth))
-    return replace(
-        memory,
-        factor=_start_factor(model) if growth > _LOST else memory.factor * growth,
-        sensors=replace(
-            memory.sensors,
-            noise_ratio=ratio,
-            counted=np.where(larger, 0.0, sensors.counted),
-            debt=np.zeros_like(ratio),
-            refused=np.zeros(len(ratio), dtype=bool),
-            mean=np.zeros_like(ratio),
-        ),
-        jumps=empty_bank(model.rows, model.layout.q),
-        lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
-        age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,
-    )
-
-
-def start_memory(model: FilterModel) -> FilterMemory:
-    """Return the memory before the first sample."""
-    p, rows = len(model.equations.outputs), model.rows
-    zeros = np.zeros(p)
-    return FilterMemory(
-        factor=_start_factor(model),
-        past=np.zeros(model.past_size),
-        past_age=np.full(model.past_size // max(len(model.delayed), 1), -1.0),
-        jumps=empty_bank(rows, model.layout.q),
-        sensors=SensorMemory(
-            noise_ratio=np.ones(p),
-            counted=zeros,
-            repeat_rate=zeros,
-            refused=np.zeros(p, dtype=bool),
-            debt=zeros,
-            skipped=zeros,
-            drift=zeros,
-            mean=zeros,
-            waited=zeros,
-            interval=zeros,
-        ),
-        lagged=empty_lag(rows, model.layout.q, model.settings.lag),
-        age=0,
-        lost=False,
-        converged=False,
-        tuned_at=0.0,
-        step=0.0,
-        steady=0,
-    )
-
-
-def _start_factor(model: FilterModel) -> Array:
-    """Return the factor (N + past,N + past) of the covariance before the first sample."""
-    factor = np.zeros((model.rows, model.rows))
-    factor[: model.layout.size, : model.layout.size] = np.diag(model.start_std)
-    return factor
 
 
 def bounded(model: FilterModel, xi: Array, factor: Array) -> tuple[Array, Array]:
@@ -372,7 +262,7 @@ def bounded(model: FilterModel, xi: Array, factor: Array) -> tuple[Array, Array]
     return xi, factor
 
 
-def _rows(model: FilterModel, xi: Array, memory: FilterMemory, u: Vector) -> list[Array | None]:
+def output_rows(model: FilterModel, xi: Array, memory: FilterMemory, u: Vector) -> list[Array | None]:
     """Return the row (N + past,) of each output; None where its sensor measured a time before the start."""
     C = model.slopes(xi, u).C
     rows: list[Array | None] = []

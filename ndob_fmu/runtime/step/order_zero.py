@@ -17,8 +17,9 @@ from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.numerics.kalman import triangular
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import SampledObserverState
-from ndob_fmu.runtime.step.measurement_update import Measured, is_hopeless, measure, reconsidered
+from ndob_fmu.runtime.step.measurement_update import Measured, measure
 from ndob_fmu.runtime.step.observer import Estimate, numbers
+from ndob_fmu.runtime.step.reconsider import is_hopeless, reconsidered
 from ndob_fmu.runtime.step.time_update import predict_mean
 from ndob_fmu.runtime.step.tracking_step import LATE, consistency
 

@@ -40,13 +40,13 @@ from ndob_fmu.runtime.step.converged_step import (
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import SampledObserverState
 from ndob_fmu.runtime.step.layout import Layout
-from ndob_fmu.runtime.step.measurement_update import Measured, predicted_sample, start_memory
+from ndob_fmu.runtime.step.measurement_update import Measured, predicted_sample
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.order_zero import step_of_order_zero
-from ndob_fmu.runtime.step.settings import ObserverSettings
+from ndob_fmu.runtime.step.settings import ObserverSettings, check_settings
+from ndob_fmu.runtime.step.start_memory import start_memory
 from ndob_fmu.runtime.step.tracking_step import consistency, step_with_covariance
 
-ORDERS = tuple(range(HIGHEST_ORDER + 1))
 # A frozen gain that takes f for noise is as good as one that follows f's slopes up to this ratio of predicted errors.
 _AS_GOOD = 1.1
 # The first step tells which step to tune for, if it is not below this part of the default experiment's. A step that is
@@ -402,7 +402,7 @@ def sampled_observer(
 
     Raises DesignError for settings outside their ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
     """
-    _check(settings)
+    check_settings(settings)
     order = settings.order
     bound, rate, std, noise = (
         np.array(v, dtype=float)
@@ -472,36 +472,3 @@ def _tangent(equations: Equations, parameters: Vector, linear: LinearPart, x_hat
     if not np.all(np.isfinite(slopes)):
         return linear
     return LinearPart(A=slopes, B=linear.B, C=linear.C, G_f=np.zeros((n, 0)), G_d=linear.G_d, matched=True)
-
-
-def _check(settings: ObserverSettings) -> None:
-    def positive(values: Vector) -> bool:
-        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) > 0.0))
-
-    def not_negative(values: Vector) -> bool:
-        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) >= 0.0))
-
-    sensors = settings.sensors
-    _require("disturbance_order", settings.order in ORDERS, "0, 1, 2 or 3", settings.order)
-    _require("alpha", positive([settings.alpha]), "a finite number > 0", settings.alpha)
-    _require("pi_end", positive([settings.pi]), "a finite number > 0", settings.pi)
-    _require("lag", not_negative([settings.lag]), "a finite number ≥ 0", settings.lag)
-    for name, values in (
-        ("disturbance_bound", settings.disturbance_bound),
-        ("hat_start_std", settings.x_std),
-    ):
-        _require(name, positive(values), "finite numbers > 0", np.array(values))
-    for name, values in (
-        ("noise_std", sensors.noise_std),
-        ("delay", sensors.delay),
-        ("bias_std", sensors.bias_std),
-        ("disturbance_rate", settings.disturbance_rate),
-        ("parameter_std", settings.parameter_std),
-        ("state_noise", settings.state_noise),
-    ):
-        _require(name, not_negative(values), "finite numbers ≥ 0", np.array(values))
-
-
-def _require(name: str, condition: bool, expected: str, received: object) -> None:
-    if not condition:
-        raise DesignError.report(name, expected=expected, received=str(received))

@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ndob_fmu.runtime.equations import Equations, Vector
+import numpy as np
+
+from ndob_fmu.runtime.base_errors import DesignError
+from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
+
+ORDERS = tuple(range(HIGHEST_ORDER + 1))
 
 
 @dataclass(frozen=True)
@@ -83,3 +88,38 @@ def observer_settings(
         pi=tuning.pi_end,
     )
     return replace(defaults, **changes)
+
+
+def check_settings(settings: ObserverSettings) -> None:
+    """Raise DesignError for settings outside their ranges."""
+
+    def positive(values: Vector) -> bool:
+        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) > 0.0))
+
+    def not_negative(values: Vector) -> bool:
+        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) >= 0.0))
+
+    sensors = settings.sensors
+    _require("disturbance_order", settings.order in ORDERS, "0, 1, 2 or 3", settings.order)
+    _require("alpha", positive([settings.alpha]), "a finite number > 0", settings.alpha)
+    _require("pi_end", positive([settings.pi]), "a finite number > 0", settings.pi)
+    _require("lag", not_negative([settings.lag]), "a finite number ≥ 0", settings.lag)
+    for name, values in (
+        ("disturbance_bound", settings.disturbance_bound),
+        ("hat_start_std", settings.x_std),
+    ):
+        _require(name, positive(values), "finite numbers > 0", np.array(values))
+    for name, values in (
+        ("noise_std", sensors.noise_std),
+        ("delay", sensors.delay),
+        ("bias_std", sensors.bias_std),
+        ("disturbance_rate", settings.disturbance_rate),
+        ("parameter_std", settings.parameter_std),
+        ("state_noise", settings.state_noise),
+    ):
+        _require(name, not_negative(values), "finite numbers ≥ 0", np.array(values))
+
+
+def _require(name: str, condition: bool, expected: str, received: object) -> None:
+    if not condition:
+        raise DesignError.report(name, expected=expected, received=str(received))

@@ -13,8 +13,9 @@ from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState
 from ndob_fmu.runtime.step.fixed_lag import at_lag, remembered
 from ndob_fmu.runtime.step.jump_bank import with_newest
-from ndob_fmu.runtime.step.measurement_update import Measured, bounded, is_hopeless, measure, reconsidered
+from ndob_fmu.runtime.step.measurement_update import Measured, bounded, measure
 from ndob_fmu.runtime.step.observer import Estimate, numbers
+from ndob_fmu.runtime.step.reconsider import is_hopeless, reconsidered
 from ndob_fmu.runtime.step.time_update import ahead, predict
 
 LATE = 1.5  # the estimate counts as valid for so many of the usual intervals between samples
