@@ -9,6 +9,7 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.augmented import Augmented
+from ndob_fmu.runtime.design.intensity_law import IntensityLaw, law_from_pi, tuned_law
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, stationary_design
 from ndob_fmu.runtime.design.tuning import Knowledge, from_pi, steady_residual_std, steady_std, tuned_intensities
 from ndob_fmu.runtime.memo import LatestResult, SharedResults, by_value
@@ -16,6 +17,7 @@ from ndob_fmu.runtime.memo import LatestResult, SharedResults, by_value
 # A thousand instances of the same parameters need one design.
 _INTENSITIES: SharedResults[Intensities] = SharedResults(64)
 _DESIGNS: SharedResults[StationaryDesign] = SharedResults(16)
+_LAWS: SharedResults[IntensityLaw] = SharedResults(64)
 # The covariance of states whose sums are measured keeps no digit of a noise that is smaller than this part of theirs.
 _LEAST_NOISE = 1e-10
 
@@ -87,6 +89,16 @@ class StepDesigns:
     def intensities(self, H: float) -> Intensities:
         """Return the noise intensities tuned for a step H (s)."""
         return self._latest_intensities((H,), lambda: _INTENSITIES((H, self._key), lambda: self._tuned(H)))
+
+    def law(self, H: float) -> IntensityLaw:
+        """Return the law of the intensities for other steps and noises, tuned at a step H (s)."""
+
+        def found() -> IntensityLaw:
+            if np.all(self.known.disturbance_rate > 0.0):
+                return tuned_law(self.system, H, self.alpha, self.known)
+            return law_from_pi(self.system, H, self.pi, self.known)
+
+        return _LAWS((H, self._key), found)
 
     def _tuned(self, H: float) -> Intensities:
         if np.all(self.known.disturbance_rate > 0.0):

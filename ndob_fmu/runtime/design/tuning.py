@@ -34,6 +34,7 @@ _SCAN = 10
 # Where the logarithm of the cost is nearly flat, a bandwidth lower by a factor e may cost this part more.
 _SLOWER = 1e-2
 _PARABOLAS = 3
+_DIGITS = 3  # of the logarithm of the bandwidth times H
 _CLOSER = 0.4  # the distance of the costs for a parabola, over that of those before
 
 
@@ -89,7 +90,9 @@ class PredictedErrors:
 
         H = self._discrete.H
         fastest = fastest_bandwidth(self._system, H, self._known)
-        return float(np.exp(_minimise(cost, np.log(_SLOWEST / H), np.log(fastest))))
+        place = _minimise(cost, np.log(_SLOWEST / H), np.log(fastest))
+        # The minimum is flat: its last digits are those of the processor's arithmetic, and say nothing.
+        return float(np.exp(round(place + float(np.log(H)), _DIGITS)) / H)
 
     def at(self, log_bandwidth: float) -> tuple[float, float]:
         """Return Σ |E|² D²/3 / D₀² and Σ std² / D₀², infinite where there is no design."""

@@ -17,7 +17,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
 from ndob_fmu.runtime.design.augmented import Augmented, augment
-from ndob_fmu.runtime.design.intensity_law import IntensityLaw, law_from_pi, tuned_law
+from ndob_fmu.runtime.design.intensity_law import IntensityLaw
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.start_up import start_up
@@ -328,15 +328,11 @@ class SampledObserver:
         if freezes:
             intensities = self.designs.intensities(H)
         bandwidth = bandwidth_of(self.tracking.system, H, float(intensities.disturbance[0]), self.known)
-        if np.all(self.known.disturbance_rate > 0.0):
-            law = tuned_law(designs.system, H, self.settings.alpha, designs.known)
-        else:
-            law = law_from_pi(designs.system, H, self.settings.pi, designs.known)
         return Tuned(
             H,
             self._model(intensities.scale, 0.25 / bandwidth),
             intensities,
-            law,
+            designs.law(H),
             freezes=freezes and self._may_freeze,
         )
 
