@@ -60,7 +60,9 @@ def test_the_references_are_what_their_generator_writes(tmp_path):
         assert old_table.dtype.names == new_table.dtype.names
         for name in old_table.dtype.names:
             # Not to the last bit: another machine's arithmetic unit may round the steps of the solver otherwise.
-            np.testing.assert_allclose(new_table[name], old_table[name], rtol=0, atol=1e-7, err_msg=f"{path} {name}")
+            # Without noise the consistency is a ratio of numbers that are small themselves.
+            atol = 1e-5 if name == "consistency" else 1e-7
+            np.testing.assert_allclose(new_table[name], old_table[name], rtol=0, atol=atol, err_msg=f"{path} {name}")
 
 
 @pytest.mark.parametrize("path", sorted(FMUS.glob("FlexibleJoint*/*")), ids=lambda path: path.name)
