@@ -17,11 +17,11 @@ from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.numerics.kalman import triangular
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import SampledObserverState
-from ndob_fmu.runtime.step.measurement_update import Measured, measure
+from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import Estimate, numbers
-from ndob_fmu.runtime.step.reconsider import is_hopeless, reconsidered
+from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
 from ndob_fmu.runtime.step.time_update import predict_mean
-from ndob_fmu.runtime.step.tracking_step import LATE, consistency
+from ndob_fmu.runtime.step.tracking_step import at_end_of_step, consistency, is_in_time
 
 
 def step_of_order_zero(
@@ -31,12 +31,9 @@ def step_of_order_zero(
 
     Raises IntegrationError where the estimate leaves the finite numbers.
     """
-    memory, layout, stationary = state.memory, model.layout, design.stationary
+    layout, stationary = model.layout, design.stationary
     xi = np.array(layout.unpacked(state.xi_hat))
-    measured = measure(model, xi, state, memory, y)
-    if is_hopeless(measured.sensors):
-        memory = reconsidered(model, xi, memory, measured.sensors, state.u)
-        measured = measure(model, xi, state, memory, y)
+    measured, memory = measured_or_reconsidered(model, xi, state, y)
     d_hat, d_std = np.array(state.d_hat), np.array(state.d_std)
     whole = bool(np.all(measured.used))
     if whole:
@@ -53,8 +50,7 @@ def step_of_order_zero(
         discrete = discretise(stationary.system, H, stationary.alpha)
         noise = scaled_noise(discrete, stationary.intensities)
     factor = triangular(np.hstack([discrete.filter_phi @ measured.factor, noise]))
-    interval = np.where(measured.sensors.interval > 0.0, measured.sensors.interval, H)
-    sensors = replace(measured.sensors, waited=measured.sensors.waited + H, interval=interval)
+    sensors = at_end_of_step(measured.sensors, H)
     lost = memory.lost and memory.age < model.start_samples
     result = SampledObserverState(
         xi_hat=layout.packed(after),
@@ -87,7 +83,7 @@ def step_of_order_zero(
             d_lagged_std=result.d_std,
             residual=result.innovation,
             residual_std=numbers(measured.innovation_std),
-            valid=bool(np.min(sensors.waited) <= LATE * np.max(interval)) and not lost,
+            valid=is_in_time(sensors) and not lost,
             consistency=consistency(result.squares),
         ),
         measured,

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.filter_model import FilterModel
-from ndob_fmu.runtime.step.filter_state import FilterMemory, SensorMemory
+from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.jump_bank import empty_bank
-from ndob_fmu.runtime.step.measurement_update import output_rows
+from ndob_fmu.runtime.step.measurement_update import Measured, measure, output_rows
 from ndob_fmu.runtime.step.start_memory import start_factor
 
 # After refused samples of this improbability, in nats, the estimate is wrong, not the samples: where all are on one
@@ -24,6 +24,18 @@ _ONE_SIGN = 0.5
 _WRONG = 2.5
 # The least factor on a variance. From the second one on, on a standard deviation, the estimate is lost.
 _LEAST_GROWTH, _LOST = 4.0, 5.0
+
+
+def measured_or_reconsidered(
+    model: FilterModel, xi: Array, state: SampledObserverState, y: Vector
+) -> tuple[Measured, FilterMemory]:
+    """Return the update by a sample y (p,), and the memory before it, which is another where the samples refute it."""
+    memory = state.memory
+    measured = measure(model, xi, state, memory, y)
+    if is_hopeless(measured.sensors):
+        memory = reconsidered(model, xi, memory, measured.sensors, state.u)
+        measured = measure(model, xi, state, memory, y)
+    return measured, memory
 
 
 def is_hopeless(sensors: SensorMemory) -> bool:

@@ -10,12 +10,12 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.delayed_outputs import is_kept
 from ndob_fmu.runtime.step.filter_model import FilterModel
-from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState
+from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.fixed_lag import at_lag, remembered
 from ndob_fmu.runtime.step.jump_bank import with_newest
-from ndob_fmu.runtime.step.measurement_update import Measured, bounded, measure
+from ndob_fmu.runtime.step.measurement_update import Measured, bounded
 from ndob_fmu.runtime.step.observer import Estimate, numbers
-from ndob_fmu.runtime.step.reconsider import is_hopeless, reconsidered
+from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
 from ndob_fmu.runtime.step.time_update import ahead, predict
 
 LATE = 1.5  # the estimate counts as valid for so many of the usual intervals between samples
@@ -30,12 +30,9 @@ def step_with_covariance(
 
     Raises IntegrationError where the estimate leaves the finite numbers.
     """
-    layout, memory, u = model.layout, state.memory, state.u
-    xi = np.concatenate([layout.unpacked(state.xi_hat), memory.past])
-    measured = measure(model, xi, state, memory, y)
-    if is_hopeless(measured.sensors):
-        memory = reconsidered(model, xi, memory, measured.sensors, u)
-        measured = measure(model, xi, state, memory, y)
+    layout, u = model.layout, state.u
+    xi = np.concatenate([layout.unpacked(state.xi_hat), state.memory.past])
+    measured, memory = measured_or_reconsidered(model, xi, state, y)
     xi, factor = bounded(model, measured.xi, measured.factor)
 
     d = layout.disturbance
@@ -61,10 +58,9 @@ def step_with_covariance(
     jumps = replace(jumps, signatures=ahead(model, Phi, jumps.signatures), newest_age=min(jumps.newest_age + H, _LONG))
     if memory.age >= layout.size:
         jumps = with_newest(jumps, newest, model.jump_spacing)
-    interval = np.where(measured.sensors.interval > 0.0, measured.sensors.interval, H)
-    sensors = replace(measured.sensors, waited=measured.sensors.waited + H, interval=interval)
+    sensors = at_end_of_step(measured.sensors, H)
     lost = memory.lost and memory.age < model.start_samples
-    valid = bool(np.min(sensors.waited) <= LATE * np.max(interval)) and not lost
+    valid = is_in_time(sensors) and not lost
     N = layout.size
     result = SampledObserverState(
         xi_hat=layout.packed(after[:N]),
@@ -110,6 +106,17 @@ def step_with_covariance(
 
 
 _LONG = 1e9  # s
+
+
+def at_end_of_step(sensors: SensorMemory, H: float) -> SensorMemory:
+    """Return the memory of the sensors a step H (s) later; before two samples the interval counts as one step."""
+    interval = np.where(sensors.interval > 0.0, sensors.interval, H)
+    return replace(sensors, waited=sensors.waited + H, interval=interval)
+
+
+def is_in_time(sensors: SensorMemory) -> bool:
+    """Return whether a sample was used within the usual interval of the slowest sensor, or not much longer ago."""
+    return bool(np.min(sensors.waited) <= LATE * np.max(sensors.interval))
 
 
 def consistency(squares: Vector) -> float:
