@@ -45,7 +45,8 @@ def test_children_that_are_forked_while_a_thread_steps_are_refused_at_once_and_t
     assert refused > 0
     assert [reply.split()[-1] for reply in done.replies[-5:]] == ["OK"] * 5
     calls = Counter(text.split(":")[0] for _, _, text in done.log)
-    assert calls == dict.fromkeys(("fmi2GetReal", "fmi2DoStep", "fmi2Instantiate"), refused)
+    assert calls["fmi2GetReal"] == calls["fmi2DoStep"] == refused >= calls["fmi2Instantiate"]
+    assert calls.keys() <= {"fmi2GetReal", "fmi2DoStep", "fmi2Instantiate"}
     assert {status for status, _, _ in done.log} == {"Error"}
     assert all("forked while a thread was calling an FMU" in text for _, _, text in done.log)
 
