@@ -44,12 +44,12 @@ class Mixture:
 
     shift (rows,): mean of the correction of ξ̂.
     variance (rows,): its variance.
-    certain: index of the hypothesis that is certain; −1 if none is.
+    certain: whether there was a jump.
     """
 
     shift: Array
     variance: Array
-    certain: int
+    certain: bool
 
 
 def empty_bank(rows: int, q: int) -> JumpBank:
@@ -89,7 +89,7 @@ def gain(evidence: Array, precision: Array, W: Array) -> Array:
 def mixture(bank: JumpBank, W: Array) -> Mixture:
     """Return mean and variance of the correction by all hypotheses, no jump included."""
     rows = len(bank.signatures)
-    nothing = Mixture(np.zeros(rows), np.zeros(rows), -1)
+    nothing = Mixture(np.zeros(rows), np.zeros(rows), certain=False)
     diagonal = np.diagonal(bank.precision, axis1=1, axis2=2) + W
     if float(np.max(np.sum(bank.evidence**2 / diagonal, axis=1))) < _SOME:
         return nothing
@@ -108,17 +108,29 @@ def mixture(bank: JumpBank, W: Array) -> Mixture:
     best = int(np.argmax(weights))
     # The first sample after a jump cannot tell its size from its instant.
     settled = best < len(weights) - len(weights) // LENGTH
-    certain = best if total > _CERTAIN and settled else -1
-    return Mixture(shift, np.maximum((spread + each**2) @ weights - shift**2, 0.0), certain)
+    variance = np.maximum((spread + each**2) @ weights - shift**2, 0.0)
+    return Mixture(shift, variance, certain=total > _CERTAIN and settled)
 
 
-def accept(bank: JumpBank, chosen: int, W: Array) -> tuple[Array, Array]:
-    """Return what a certain hypothesis adds to ξ̂ (rows,), and the columns (rows,3) that it adds to the factor of P."""
-    factor, size, _ = _solved(
-        bank.evidence[chosen : chosen + 1], bank.precision[chosen : chosen + 1], W[chosen : chosen + 1]
-    )
-    signatures = bank.signatures[:, chosen * _NODES : (chosen + 1) * _NODES]
-    return signatures @ size[0], signatures @ np.linalg.inv(factor[0]).T
+def accepted(bank: JumpBank, W: Array) -> tuple[Array, Array]:
+    """Return what a jump that is certain adds to ξ̂ (rows,), and the columns (rows,·) that it adds to the factor of P.
+
+    Mean and covariance are those of all hypotheses together, that of no jump included, because no instant is certain.
+    """
+    rows = len(bank.signatures)
+    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, W)
+    top = float(np.max(log_weights))
+    weights = np.exp(log_weights - top)
+    none = float(np.exp(-top))
+    weights, none = weights / (none + np.sum(weights)), none / (none + np.sum(weights))
+    factor, size, _ = _solved(bank.evidence, bank.precision, W)
+    signatures = bank.signatures.reshape(rows, -1, _NODES)
+    each = np.einsum("rhk,hk->rh", signatures, size)
+    shift = each @ weights
+    roots = np.sqrt(weights)
+    within = np.einsum("rhk,hjk->rhj", signatures, np.linalg.inv(factor)) * roots[:, None]
+    between = np.column_stack([(each - shift[:, None]) * roots, -shift * np.sqrt(none)])
+    return shift, np.hstack([within.reshape(rows, -1), between])
 
 
 def with_newest(bank: JumpBank, newest: Array, spacing: float) -> JumpBank:

@@ -23,7 +23,7 @@ from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.fixed_lag import smoothed
-from ndob_fmu.runtime.step.jump_bank import LONG_AGO, Mixture, accept, empty_bank, gain, mixture
+from ndob_fmu.runtime.step.jump_bank import LONG_AGO, Mixture, accepted, empty_bank, gain, mixture
 
 # What a refused sample adds at most to an output's debt, and what a used one leaves of it.
 _MOST_DEBT = 10.0
@@ -199,8 +199,8 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 0.5 / MEMORY)), sensors.interval),
     )
     added = mixture(bank, model.jump_precision)
-    if added.certain >= 0:
-        shift, more = accept(bank, added.certain, model.jump_precision)
+    if added.certain:
+        shift, more = accepted(bank, model.jump_precision)
         xi = xi + shift
         columns_of_series = model.start_columns if bank.since_jump < LONG_AGO else np.zeros_like(model.start_columns)
         factor = np.hstack([factor, more, columns_of_series])
