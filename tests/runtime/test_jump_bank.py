@@ -15,7 +15,13 @@ def test_what_a_certain_jump_adds_has_the_mean_and_the_variance_of_the_mixture()
     random = np.random.default_rng(1)
     bank = full_bank([random.normal(size=(ROWS, 4 * Q)) for _ in range(LENGTH)])
     rho = random.normal(size=bank.evidence.shape)
-    bank = replace(bank, evidence=9.0 * rho, precision=3.0 * rho[:, :, None] * rho[:, None, :])
+    # Three innovations of five standard deviations each.
+    bank = replace(
+        bank,
+        evidence=15.0 * rho,
+        precision=3.0 * rho[:, :, None] * rho[:, None, :],
+        misfit=np.tile([75.0, 3.0], (len(rho), 1)),
+    )
     W = inverse_variances(np.array([2.0, 3.0]))
     expected = mixture(bank, W)
     assert np.max(expected.variance) > 0.0

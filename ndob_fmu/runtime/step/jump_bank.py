@@ -7,7 +7,8 @@ has innovations of the mean ρᵀν, and that of the hypothesis is the one filte
 
     ν̂ = (B + W)⁻¹ a,   ξ̂ + M ν̂,   P + M (B + W)⁻¹ Mᵀ,   a = Σ ρ e/α,   B = Σ ρ ρᵀ/α,   W = diag(1/(w_i V)),
 
-with α the variance of an innovation. Its weight over no jump is p exp(½ aᵀν̂)/√det(I + W⁻¹ B).
+with α the variance of an innovation. The weight over no jump is p L(E − aᵀν̂)/L(E)/√det(I + W⁻¹ B), E = Σ e²/α. L is
+Student's density, because α is not sure: innovations that are all too large speak for a larger noise, not for a jump.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _KINDS = len(_WEIGHTS)
 # Hypotheses of less weight are not worth a correction; those of more replace the filter's state.
 _MENTIONED, _CERTAIN = 0.4, 0.95
 _SOME = 4.0  # a smaller aᵀν̂ leaves every weight below that
+# The variances of the innovations are as sure as if so many innovations had told them.
+_SURE = 20.0
 # Without evidence, a jump before more samples than these would have shown.
 _UNSEEN = 3
 # A second jump within so many samples means that the derivatives of d have changed too.
@@ -59,6 +62,7 @@ def empty_bank(rows: int, q: int) -> JumpBank:
         signatures=np.zeros((rows, size * _NODES)),
         evidence=np.zeros((size, _NODES)),
         precision=np.zeros((size, _NODES, _NODES)),
+        misfit=np.zeros((size, 2)),
         log_weight=np.full(size, -np.inf),
         newest_age=np.inf,
         since_jump=LONG_AGO,
@@ -80,10 +84,22 @@ def inverse_variances(disturbance_bound: Array) -> Array:
     return np.asarray(1.0 / (V[:, None, None] * _WEIGHTS).reshape(-1, _NODES))
 
 
-def gain(evidence: Array, precision: Array, W: Array) -> Array:
+def gain(evidence: Array, precision: Array, misfit: Array, W: Array) -> Array:
     """Return the logarithm of what the evidence adds to the weights (2 L q2,)."""
     _, size, log_determinant = _solved(evidence, precision, W)
-    return np.asarray(0.5 * np.sum(evidence * size, axis=1) - 0.5 * (log_determinant - np.sum(np.log(W), axis=1)))
+    explained = np.column_stack([np.sum(evidence * size, axis=1), np.zeros(len(size))])
+    return np.asarray(
+        likelihood(misfit - explained) - likelihood(misfit) - 0.5 * (log_determinant - np.sum(np.log(W), axis=1))
+    )
+
+
+def likelihood(misfit: Array) -> Array:
+    """Return the logarithm of Student's density (2 L q2,) of innovations, over that of innovations of zero.
+
+    misfit (2 L q2,2): their sum of squares over the variances, and their number
+    """
+    squares = np.maximum(misfit[:, 0], 0.0)
+    return np.asarray(-0.5 * (_SURE + misfit[:, 1]) * np.log1p(squares / _SURE))
 
 
 def mixture(bank: JumpBank, W: Array) -> Mixture:
@@ -93,7 +109,7 @@ def mixture(bank: JumpBank, W: Array) -> Mixture:
     diagonal = np.diagonal(bank.precision, axis1=1, axis2=2) + W
     if float(np.max(np.sum(bank.evidence**2 / diagonal, axis=1))) < _SOME:
         return nothing
-    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, W)
+    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, bank.misfit, W)
     top = max(float(np.max(log_weights)), 0.0)
     weights = np.exp(log_weights - top)
     weights = weights / (np.exp(-top) + np.sum(weights))
@@ -118,7 +134,7 @@ def accepted(bank: JumpBank, W: Array) -> tuple[Array, Array]:
     Mean and covariance are those of all hypotheses together, that of no jump included, because no instant is certain.
     """
     rows = len(bank.signatures)
-    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, W)
+    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, bank.misfit, W)
     top = float(np.max(log_weights))
     weights = np.exp(log_weights - top)
     none = float(np.exp(-top))
@@ -147,6 +163,7 @@ def with_newest(bank: JumpBank, newest: Array, spacing: float) -> JumpBank:
         signatures=np.hstack([bank.signatures[:, added.shape[1] :], added]),
         evidence=np.concatenate([bank.evidence[count:], np.zeros((count, _NODES))]),
         precision=np.concatenate([bank.precision[count:], np.zeros((count, _NODES, _NODES))]),
+        misfit=np.concatenate([bank.misfit[count:], np.zeros((count, 2))]),
         log_weight=np.append(bank.log_weight[count:], np.tile(_LOG_PROBABILITIES, count // _KINDS)),
         newest_age=0.0,
         since_jump=bank.since_jump,
