@@ -11,21 +11,18 @@ docs/theory.md compares them with Theorem 3 of the paper, which bounds the state
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ndob_fmu.analysis.summed_responses import summed
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.numerics.exponential import exponential
 
 _INSTANTS = 5
 _QUADRATURE = 16
-_TAIL = 1e-7
-_MOST_STEPS = 1_000_000
-_STEPS_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
@@ -176,6 +173,7 @@ def _outputs(system: _ErrorSystem, design: StationaryDesign) -> _Rows:
 
 def _l1(system: _ErrorSystem, rows: _Rows, channels: Array, *, per_channel: bool) -> Array:
     """Return ∫ |impulse response| (R, channels), or ∫ of its norm over the channels (R, 1)."""
+    per_channel = per_channel or channels.shape[1] == 1
 
     def size(response: Array) -> Array:
         return np.abs(response) if per_channel else np.linalg.norm(response, axis=-1, keepdims=True)
@@ -197,9 +195,11 @@ def _l1(system: _ErrorSystem, rows: _Rows, channels: Array, *, per_channel: bool
     k, _, c = step.shape
 
     def added(responses: Array) -> Array:
-        return np.asarray(np.einsum("k,rjki->rji", weight, size(responses.reshape(len(responses), -1, k, c))))
+        sizes = size(responses.reshape(len(responses), -1, k, c))
+        return np.asarray(np.moveaxis(sizes, 2, 3) @ weight)
 
-    return total + _summed(added, rows.on_state, exponential(system.A * system.H) @ system.J, _side_by_side(step))
+    before = exponential(system.A * system.H) @ system.J
+    return total + summed(added, rows.on_state, before, _side_by_side(step), by_element=per_channel)
 
 
 def _l1_of_samples(system: _ErrorSystem, rows: _Rows, p: int) -> Array:
@@ -209,32 +209,13 @@ def _l1_of_samples(system: _ErrorSystem, rows: _Rows, p: int) -> Array:
     def added(responses: Array) -> Array:
         return np.asarray(np.sum(np.abs(responses.reshape(len(responses), -1, p)), axis=-1))
 
-    before = _summed(added, rows.on_state, Phi @ system.J, Phi @ system.K)
+    before = summed(added, rows.on_state, Phi @ system.J, Phi @ system.K, by_element=True)
     return np.asarray(np.sum(np.abs(rows.on_sample), axis=1) + before)
 
 
 def _side_by_side(inputs: Array) -> Array:
     """Return (N, k c) of (k, N, c)."""
     return np.asarray(inputs.transpose(1, 0, 2).reshape(inputs.shape[1], -1))
-
-
-def _summed(added: Callable[[Array], Array], on_state: Array, step: Array, inputs: Array) -> Array:
-    """Return Σ_j added(on_state stepʲ inputs), until a step adds next to nothing to any row's sum.
-
-    `added` takes the responses (R,·) of some steps side by side and returns one term for each step, (R,steps,·).
-    """
-    later = [inputs]
-    for _ in range(_STEPS_AT_ONCE - 1):
-        later.append(step @ later[-1])
-    together, ahead = np.hstack(later), np.linalg.matrix_power(step, _STEPS_AT_ONCE)
-    total = np.zeros(())
-    for _ in range(_MOST_STEPS // _STEPS_AT_ONCE):
-        terms = added(on_state @ together)
-        total = total + np.sum(terms, axis=1)
-        if np.all(terms[:, -1] <= _TAIL * total):
-            break
-        on_state = on_state @ ahead
-    return np.asarray(total)
 
 
 def _certificate(gain: float, bounds: Array, system: _ErrorSystem, q: int) -> Certificate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import sympy
 
@@ -11,39 +11,60 @@ from ndob_fmu.codegen.program import Argument, Function, Return, Value, assignme
 from ndob_fmu.codegen.slopes import slopes
 from ndob_fmu.model.vector_field import VectorField
 
+# The name of an argument and its elements.
+Array = tuple[str, Sequence[sympy.Symbol]]
 
-def build_definitions(field: VectorField) -> list[Function]:
-    """Return the functions of `runtime.equations.Equations`; with a channel also those of `Channel`."""
+
+def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
+    """Return, by their names, what builds the functions of `runtime.equations.Equations`, and those of `Channel`.
+
+    Most callers need few of the functions, and those of a large plant take long.
+    """
     x, u, d, p = ("_x", field.x), ("_u", field.u), ("_d", field.d), ("_p", field.p)
     matrices = (field.A, field.B, field.C, field.G_f, field.G_d)
-    definitions = [
-        _function("matrices", [p], [entry for matrix in matrices for entry in matrix], [M.shape for M in matrices]),
-        _function("nonlinearity", [x, u, p], field.f),
-        _function("output", [x, u, p], field.outputs),
-        _function("linearisation", [x, u, d, p], _linearisation(field, field.driven_by(field.d), field.d)),
-        _function("input_slopes", [x, u, d, p], _input_slopes(field, field.driven_by(field.d))),
-        _function("sensitivity", [x, u, d, p], _sensitivity(field, field.driven_by(field.d))),
-    ]
+
+    def all_matrices() -> Function:
+        entries = [entry for matrix in matrices for entry in matrix]
+        return _function("matrices", [p], entries, [M.shape for M in matrices])
+
+    def of_plant(prefix: str, w: Array, driven: Sequence[sympy.Expr]) -> dict[str, Callable[[], Function]]:
+        """Return the functions of the plant with the inputs w in place of d, which drive it by `driven`."""
+        arguments, name = [x, u, w, p], prefix.__add__
+        return {
+            name("linearisation"): lambda: _function(
+                name("linearisation"), arguments, _linearisation(field, driven, w[1])
+            ),
+            name("input_slopes"): lambda: _function(name("input_slopes"), arguments, _input_slopes(field, driven)),
+            name("sensitivity"): lambda: _function(name("sensitivity"), arguments, _sensitivity(field, driven)),
+        }
+
+    def rate(name: str, w: Array) -> dict[str, Callable[[], Function]]:
+        return {name: lambda: _function(name, [x, u, w, p], field.derivatives(w[1]))}
+
+    common = {
+        "matrices": all_matrices,
+        "nonlinearity": lambda: _function("nonlinearity", [x, u, p], field.f),
+        "output": lambda: _function("output", [x, u, p], field.outputs),
+        **of_plant("", d, field.driven_by(field.d)),
+    }
     if not field.direction:
-        return [*definitions, _function("derivatives", [x, u, d, p], field.derivatives(field.d))]
-    lumped = sympy.symbols(f"_w:{len(field.direction)}", real=True)
-    w = ("_w", lumped)
-    return [
-        *definitions,
-        _function("direction", [x, u, p], field.direction),
-        _function("lumped_derivatives", [x, u, w, p], field.derivatives(lumped)),
-        _function("lumped_linearisation", [x, u, w, p], _linearisation(field, lumped, lumped)),
-        _function("lumped_input_slopes", [x, u, w, p], _input_slopes(field, lumped)),
-        _function("lumped_sensitivity", [x, u, w, p], _sensitivity(field, lumped)),
-    ]
+        return {**common, **rate("derivatives", d)}
+    w = ("_w", sympy.symbols(f"_w:{len(field.direction)}", real=True))
+    return {
+        **common,
+        "direction": lambda: _function("direction", [x, u, p], field.direction),
+        **rate("lumped_derivatives", w),
+        **of_plant("lumped_", w, w[1]),
+    }
 
 
 def _linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
     """Return [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], row by row, where w(x, d) acts through the columns of G_d."""
     of_x = field.A + field.G_f * slopes(field.f, field.x) + field.G_d * slopes(w, field.x)
     of_d = field.G_d * slopes(w, d)
-    rows = sympy.Matrix([[of_x, of_d], [field.C, sympy.zeros(field.C.rows, len(d))]])
-    return list(rows)
+    of_state = [entry for i in range(len(field.x)) for entry in (*of_x.row(i), *of_d.row(i))]
+    of_output = [entry for i in range(field.C.rows) for entry in (*field.C.row(i), *[sympy.S.Zero] * len(d))]
+    return of_state + of_output
 
 
 def _input_slopes(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
@@ -58,7 +79,7 @@ def _sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr
 
 def _function(
     name: str,
-    arguments: Sequence[tuple[str, Sequence[sympy.Symbol]]],
+    arguments: Sequence[Array],
     expressions: Sequence[sympy.Expr],
     shapes: Sequence[tuple[int, int]] | None = None,
 ) -> Function:

@@ -6,7 +6,8 @@ decisions. `runtime.generated_steps` describes arguments and results.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from sys import float_info
 
 import sympy
@@ -55,23 +56,38 @@ H, SUBSTEP, NORM = (sympy.Symbol(name, real=True) for name in ("_H", "_h", "_nor
 LARGEST = sympy.Float(float_info.max)
 
 
-def build_steps(field: VectorField) -> tuple[Function, ...]:
-    """Return plant_constants, plant_trial, observer_constants and observer_step."""
+def build_steps(field: VectorField) -> dict[str, Callable[[], Function]]:
+    """Return, by their names, what builds plant_constants, plant_trial, observer_constants and observer_step."""
     # To the plant n(x, u) d is a function of x; the observer estimates it as inputs of their own.
     lumped = symbols("w", field.G_d.cols)
     x, u, p = field.x, field.u, field.p
-    of_plant = right_hand_side(field.derivatives(field.driven_by(field.d)), [], x, field.d, u)
-    of_observer = right_hand_side(field.derivatives(lumped), field.outputs, x, lumped, u)
-    return (
-        _constants("plant_constants", of_plant, p),
-        Function("plant_trial", (*_arrays("_x", "_u", "_d", "_k"), _number(SUBSTEP)), _plant_trial(of_plant, u, p)),
-        _constants("observer_constants", of_observer, p),
-        Function(
-            "observer_step",
-            (*_arrays("_xi", "_inputs", "_squares", "_k"), Argument("_gain", "ConvergedGain"), _number(H)),
-            _observer_step(of_observer, u, p),
-        ),
-    )
+
+    @cache
+    def of_plant() -> RightHandSide:
+        return right_hand_side(field.derivatives(field.driven_by(field.d)), [], x, field.d, u)
+
+    @cache
+    def of_observer() -> RightHandSide:
+        return right_hand_side(field.derivatives(lumped), field.outputs, x, lumped, u)
+
+    def plant_trial() -> Function:
+        arguments = (*_arrays("_x", "_u", "_d", "_k"), _number(SUBSTEP))
+        return Function("plant_trial", arguments, _plant_trial(of_plant(), u, p))
+
+    def observer_step() -> Function:
+        arguments = (
+            *_arrays("_xi", "_inputs", "_squares", "_k"),
+            Argument("_gain", "ConvergedGain"),
+            _number(H),
+        )
+        return Function("observer_step", arguments, _observer_step(of_observer(), u, p))
+
+    return {
+        "plant_constants": lambda: _constants("plant_constants", of_plant(), p),
+        "plant_trial": plant_trial,
+        "observer_constants": lambda: _constants("observer_constants", of_observer(), p),
+        "observer_step": observer_step,
+    }
 
 
 def _arrays(*names: str) -> tuple[Argument, ...]:

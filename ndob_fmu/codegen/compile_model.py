@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ndob_fmu.codegen.emit import emit_python
+from ndob_fmu.codegen.emit import FunctionTexts, equations_text, function_texts, header_text
 from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model.model import Model
@@ -20,11 +21,16 @@ from ndob_fmu.support.progress import begin
 def compile_model(model: Model) -> Equations:
     """Return the model's equations as the runtime uses them.
 
+    Each function is written and compiled when it is first called: a check or a design needs few of them.
+
     Raises ModelError where an expression has no Python form or cannot be evaluated at the model's start values.
     """
     begin(f"writing the equations of {model.name} as code")
+    functions = function_texts(model)
     namespace: dict[str, Any] = {"__name__": f"equations of {model.name}"}
-    exec(compile(emit_python(model), f"<equations of {model.name}>", "exec"), namespace)
+    _run(header_text(model), namespace)
+    namespace |= {name: _CompiledOnFirstCall(name, functions, namespace) for name in functions.names}
+    _run(equations_text(model), namespace)
     equations: Equations = namespace["EQUATIONS"]
     values = tuple(equations.parameters.values())
     try:
@@ -41,6 +47,26 @@ def compile_model(model: Model) -> Equations:
             likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
         ) from error
     return equations
+
+
+class _CompiledOnFirstCall:
+    """A function of a model, compiled in the namespace of all its functions when it is first called."""
+
+    def __init__(self, name: str, functions: FunctionTexts, namespace: dict[str, Any]) -> None:
+        self._name, self._functions, self._namespace = name, functions, namespace
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._function(*arguments)
+
+    @cached_property
+    def _function(self) -> Callable[..., Any]:
+        _run(self._functions[self._name], self._namespace)
+        function: Callable[..., Any] = self._namespace[self._name]
+        return function
+
+
+def _run(text: str, namespace: dict[str, Any]) -> None:
+    exec(compile(text, f"<{namespace['__name__']}>", "exec"), namespace)
 
 
 def linear_part(model: Model, parameters: Mapping[str, float] | None = None) -> LinearPart:

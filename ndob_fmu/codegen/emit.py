@@ -9,6 +9,7 @@ from ndob_fmu.codegen.build_step import build_steps
 from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.codegen.print_python import IMPORTS, print_function
 from ndob_fmu.model.model import SAID_BY_NAME, Model
+from ndob_fmu.model.vector_field import VectorField
 
 _HEADER = '''"""Equations of {name}, written from its symbolic model; do not edit."""
 
@@ -25,25 +26,46 @@ _PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
 """
 
 
+class FunctionTexts:
+    """The texts of a model's functions, by `names` in the order of the module. Each is written when asked for, once."""
+
+    def __init__(self, field: VectorField) -> None:
+        definitions, steps = build_definitions(field), build_steps(field)
+        self._builders = {**definitions, **steps}
+        self._texts = {"derivatives": _PLANT_WITH_CHANNEL} if field.direction else {}
+        self.names = (*definitions, *(name for name in self._texts if name not in definitions), *steps)
+
+    def __getitem__(self, name: str) -> str:
+        """Return the text of a function. Raises ModelError where an expression has no Python form."""
+        if name not in self._texts:
+            self._texts[name] = print_function(self._builders[name]())
+        return self._texts[name]
+
+
+@once_per_model
+def function_texts(model: Model) -> FunctionTexts:
+    """Return the texts of the model's functions, which only know each other by their names."""
+    return FunctionTexts(model.vector_field)
+
+
 @once_per_model
 def emit_python(model: Model) -> str:
     """Return the text of a Python module that defines EQUATIONS for the model.
 
     Raises ModelError where an expression has no Python form.
     """
-    field = model.vector_field
-    imported = ", ".join(["Channel"] * bool(field.direction) + _IMPORTED)
-    parts = [
-        _HEADER.format(name=model.name, imports=IMPORTS, names=imported),
-        *map(print_function, build_definitions(field)),
-        *([_PLANT_WITH_CHANNEL] if field.direction else []),
-        *map(print_function, build_steps(field)),
-        _equations(model),
-    ]
-    return "\n\n".join(parts)
+    functions = function_texts(model)
+    return "\n\n".join([header_text(model), *(functions[name] for name in functions.names), equations_text(model)])
 
 
-def _equations(model: Model) -> str:
+def header_text(model: Model) -> str:
+    """Return the beginning of the module: what its functions and EQUATIONS use."""
+    imported = ", ".join(["Channel"] * bool(model.channel_expressions) + _IMPORTED)
+    return _HEADER.format(name=model.name, imports=IMPORTS, names=imported)
+
+
+def equations_text(model: Model) -> str:
+    """Return the end of the module: EQUATIONS, made of the functions before it."""
     jacobian = model.vector_field.jacobian
     fields: dict[str, Any] = {
         "name": model.name,

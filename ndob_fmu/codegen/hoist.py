@@ -80,13 +80,16 @@ def shared(expressions: Sequence[sympy.Expr], stem: str) -> tuple[Assignments, l
 
     A Piecewise is shared as a whole only: a part of a branch that is not taken may have no value.
     """
-    if not expressions:
-        return (), []
+    compound = [expression for expression in expressions if not expression.is_Atom]
+    if not compound:
+        return (), list(expressions)
     outermost: dict[sympy.Expr, sympy.Symbol] = {}
-    outside = [_without_branches(expression, stem, outermost) for expression in expressions]
+    outside = [_without_branches(expression, stem, outermost) for expression in compound]
     names = sympy.numbered_symbols(f"_{stem}", real=True)
     found, reduced = sympy.cse(outside, symbols=names, list=True)
-    return (*((name, value) for value, name in outermost.items()), *found), reduced
+    following = iter(reduced)
+    results = [expression if expression.is_Atom else next(following) for expression in expressions]
+    return (*((name, value) for value, name in outermost.items()), *found), results
 
 
 def _without_branches(expression: sympy.Expr, stem: str, outermost: dict[sympy.Expr, sympy.Symbol]) -> sympy.Expr:

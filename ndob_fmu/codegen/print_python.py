@@ -52,6 +52,10 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
     """
 
     def _print_Symbol(self, symbol: sympy.Symbol) -> str:
+        return self.name(symbol)
+
+    @staticmethod
+    def name(symbol: sympy.Symbol) -> str:
         # Names of Python do not end like this, so that a state `id` or `abs` hides nothing that the text uses.
         return str(symbol.name if symbol.name.startswith("_") else f"{symbol.name}_")
 
@@ -77,6 +81,8 @@ _PRINTER = _Printer({"fully_qualified_modules": True})
 
 def _expression(expression: sympy.Expr) -> str:
     """Return the expression in Python. Raises ModelError for a function that has no Python form."""
+    if isinstance(expression, sympy.Symbol):  # half of all expressions; SymPy prepares more than it prints
+        return _PRINTER.name(expression)
     try:
         text: str = _PRINTER.doprint(expression)
     except NotImplementedError as error:

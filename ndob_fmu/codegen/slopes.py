@@ -33,9 +33,12 @@ def slopes(expressions: Sequence[sympy.Expr], symbols: Sequence[sympy.Symbol]) -
     """
     result = sympy.zeros(len(expressions), len(symbols))
     for i, expression in enumerate(expressions):
+        within = expression.free_symbols
+        if within.isdisjoint(symbols):
+            continue
         smooth, jumps = _without_jumps(expression)
         for j, symbol in enumerate(symbols):
-            if symbol in expression.free_symbols:
+            if symbol in within:
                 result[i, j] = _slope(expression, smooth, jumps, symbol)
     return result
 

@@ -35,7 +35,12 @@ WITHIN = 1e-14
 def library(name):
     """Return the model's generated functions as a C library."""
     field = ALL[name].vector_field
-    text = "\n".join([RUNTIME, *map(print_function, [*build_definitions(field), *build_steps(field)])])
+    text = "\n".join(
+        [
+            RUNTIME,
+            *map(print_function, [build() for build in {**build_definitions(field), **build_steps(field)}.values()]),
+        ]
+    )
     with tempfile.TemporaryDirectory() as folder:
         source, built = Path(folder, "model.c"), Path(folder, "model.so")
         source.write_text(text)
@@ -156,7 +161,8 @@ def test_the_named_results_have_the_fields_of_the_runtimes_structures():
     """The trees name the fields in the order of the structures, which the Python text relies on."""
     from ndob_fmu.runtime import generated_steps
 
-    for function in build_steps(ALL["kinks"].vector_field):
+    for build in build_steps(ALL["kinks"].vector_field).values():
+        function = build()
         for statement in statements(function.body):
             if isinstance(statement, Return) and hasattr(statement.value, "fields"):
                 names = tuple(name for name, _ in statement.value.fields)

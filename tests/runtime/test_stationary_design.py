@@ -14,7 +14,7 @@ from ndob_fmu.runtime.design.augmented import augment
 from ndob_fmu.runtime.design.stationary_design import stationary_design
 from ndob_fmu.runtime.design.tuning import Knowledge, at_bandwidth, predicted_error, tuned_intensities
 from ndob_fmu.runtime.linear_part import LinearPart
-from ndob_fmu.runtime.numerics.kalman import gain_change
+from ndob_fmu.runtime.numerics.kalman import gain_change, predict, update
 from tests.helpers.problems import RANDOM, minimum_phase_systems
 
 RATE = 2.0 * np.pi
@@ -48,6 +48,29 @@ def outputs_first(linear: LinearPart) -> LinearPart:
     rest = scipy.linalg.null_space(linear.C).T
     changed = in_coordinates(linear, np.linalg.inv(np.vstack([linear.C, rest])))
     return replace(changed, C=np.eye(*linear.C.shape))
+
+
+def heat_rod(nodes: int) -> LinearPart:
+    """A rod with an unknown heat flow and a thermometer at one end, a second one in the middle, cooled at the other."""
+    A = 25.0 * (np.eye(nodes, k=1) + np.eye(nodes, k=-1) - 2.0 * np.eye(nodes))
+    A[0, 0], A[-1, -1] = -25.0, -25.1
+    C = np.eye(nodes)[[0, nodes // 2]]
+    return LinearPart(A, np.eye(nodes)[:, -1:], C, np.zeros((nodes, 0)), np.eye(nodes)[:, :1], matched=True)
+
+
+@pytest.mark.parametrize(("H", "bandwidth"), [(0.1, 1.0), (0.1, 10.0)])
+def test_states_that_nearly_determine_each_other_leave_a_gain_that_the_recursion_comes_to(H, bandwidth):
+    """Along a rod the covariance is singular to all digits, and no coordinates make it I."""
+    rod = heat_rod(60)
+    system, known = augment(rod, 2), knowledge(rod, 1e-6, 2)
+    found = stationary_design(system, H, known.R_factor, at_bandwidth(system, H, bandwidth, known), alpha=0.3)
+    factor = np.eye(len(system.A))
+    for _ in range(4000):
+        factor = predict(update(factor, system.C, known.R_factor).factor, found.discrete.Phi, found.noise_factor)
+    assert gain_change(found.update, update(factor, system.C, known.R_factor)) < 1e-5
+    np.testing.assert_allclose(
+        np.max(np.abs(found.poles)), np.max(np.abs(np.linalg.eigvals(found.error_dynamics))), rtol=1e-9
+    )
 
 
 @hard_problem

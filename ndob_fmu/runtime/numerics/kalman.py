@@ -29,6 +29,10 @@ _CONVERGED = 1e-9
 _MOST_PASSES = 5
 _SAME_COORDINATES = 4.0
 _TOLERANCE = 1e-6
+# Beyond this size the inverse of a factor with rows of length one leaves no digit of a plant; the part of its own
+# standard deviation by which each state is then taken to be independent of the others.
+_MOST_RESOLVED = 1e12
+_LEAST_APART = 1e-8
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,11 @@ def _limit(Phi: Array, C: Array, noise_factor: Array, factor: Array) -> Array:
     The first of them come from `factor` (N,N). Raises LinAlgError where P⁻ has no limit.
     """
     for _ in range(_MOST_PASSES):
-        T = whitening(factor)
+        T, resolved = _coordinates(factor)
         z_factor = _doubled(forward(T, Phi @ T), C @ T, forward(T, noise_factor))
         factor = triangular(T @ z_factor)
         sizes = np.abs(np.diag(z_factor))
-        same = (sizes < _SAME_COORDINATES) & (sizes > 1.0 / _SAME_COORDINATES)
+        same = (sizes < _SAME_COORDINATES) & ((not resolved) | (sizes > 1.0 / _SAME_COORDINATES))
         if np.all(same | ~np.any(z_factor, axis=1)):  # a state that no noise reaches has no size
             break
     return factor
@@ -131,14 +135,28 @@ def _doubled(Phi: Array, C: Array, noise_factor: Array) -> Array:
 
 
 def whitening(factor: Array) -> Array:
-    """Return T (N,N), lower triangular, of ξ = T z: z has the covariance I, except for states that no noise reaches."""
+    """Return T (N,N), lower triangular, of ξ = T z: z has the covariance I, except for states that no noise reaches.
+
+    Where some states nearly determine others, as the temperatures along a rod, rounding errors would be all that is
+    left of a plant in such coordinates. There z has a smaller covariance in the directions that are determined.
+    """
+    return _coordinates(factor)[0]
+
+
+def _coordinates(factor: Array) -> tuple[Array, bool]:
+    """Return T of `whitening`, and whether z has the covariance I in all directions that noise reaches."""
     driven = np.flatnonzero(np.any(factor, axis=1))
     lower = triangular(factor[driven])
-    sizes = np.maximum(np.abs(np.diag(lower)), np.finfo(float).eps * np.linalg.norm(lower, axis=1))
+    norms = np.linalg.norm(lower, axis=1)
+    sizes = np.maximum(np.abs(np.diag(lower)), np.finfo(float).eps * norms)
     np.fill_diagonal(lower, np.copysign(sizes, np.diag(lower)))
+    inverse = forward(lower / norms[:, None], np.eye(len(lower)))
+    resolved = bool(np.max(np.abs(inverse), initial=0.0) <= _MOST_RESOLVED)
+    if not resolved:
+        lower = triangular(np.hstack([lower, np.diag(_LEAST_APART * norms)]))
     T = np.eye(len(factor))
     T[np.ix_(driven, driven)] = lower
-    return T
+    return T, resolved
 
 
 def gain_change(before: Update, after: Update) -> float:
