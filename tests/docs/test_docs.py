@@ -205,6 +205,8 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"Beyond {wrong._LOST**2:g}-fold, P starts again",
         f"V = {bank._VARIANCE:g} D₀² and p = {at_sample + inside:.3g} a sample",
         f"the last {bank.LENGTH} steps: a jump at the sample ({at_sample / (at_sample + inside):.1g})",
+        f"weight p (({bank._SURE:g} + E)/({bank._SURE:g} + E − aᵀν̂))^{{({bank._SURE:g} + n)/2}}",
+        f"Student's distribution with {bank._SURE:g} degrees",
         f"exceed {bank._MENTIONED}, what is published",
         f"exceed {bank._CERTAIN}, and the likeliest",
         f"within {bank.LONG_AGO} samples",

@@ -99,6 +99,13 @@ def test_a_jump_of_the_disturbance_is_found_within_a_few_samples(outliers, seed)
     assert np.max(np.abs(jumped.at_sample[after[15] :])) <= 0.35 * BOUND
 
 
+def test_after_a_jump_the_error_bar_covers_that_its_instant_is_not_certain():
+    """Two samples come before a jump shows. The likeliest instant alone leaves three times as many beyond 3·std."""
+    jumped = [run(disturbance=[Jump()], seed=seed) for seed in range(1, 5)]
+    beyond = [np.mean((np.abs(r.ahead) > 3.0 * r.std)[r.time > 0.4]) for r in jumped]
+    assert np.mean(beyond) <= 0.009
+
+
 @pytest.mark.parametrize("told", [0.1, 10.0])
 def test_noise_that_was_told_wrong_is_found_in_the_innovations(told):
     """The same samples with the right noise are the measure: without adaptation a tenth costs six times as much."""

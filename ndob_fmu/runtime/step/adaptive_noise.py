@@ -1,8 +1,9 @@
 """The variance of each output's noise, followed from the innovations.
 
 The product of the innovation e and of the residual after the update has the expectation R, whatever R the filter was
-told (Mehra, 1970). Its moving average replaces the variance that was told where the two differ by a factor of two; so
-nothing is lost where that was right.
+told (Mehra, 1970). The mean of the latest innovations is subtracted from e, because a wrong model makes it. The
+product's moving average replaces the variance that was told where the two differ by a factor of two; so nothing is lost
+where that was right.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ class JumpBank:
 
     signatures (N + past,6 L q2): what jumps of one at up to three instants have added to the error of ξ̂ until now.
     evidence (2 L q2,3), precision (2 L q2,3,3): of their sizes, from the innovations since: Σ ρ e/α and Σ ρ ρᵀ/α.
+    misfit (2 L q2,2): sum of e²/α since then, and the number of these innovations.
     log_weight (2 L q2,): logarithm of the weight without that evidence, over that of no jump; −∞ for an empty place.
     newest_age: time since the last hypotheses were added (s).
     since_jump: samples since a jump was certain, counted up to a limit.
@@ -22,6 +23,7 @@ class JumpBank:
     signatures: Array
     evidence: Array
     precision: Array
+    misfit: Array
     log_weight: Array
     newest_age: float
     since_jump: int

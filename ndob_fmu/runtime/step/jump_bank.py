@@ -7,7 +7,8 @@ has innovations of the mean ρᵀν, and that of the hypothesis is the one filte
 
     ν̂ = (B + W)⁻¹ a,   ξ̂ + M ν̂,   P + M (B + W)⁻¹ Mᵀ,   a = Σ ρ e/α,   B = Σ ρ ρᵀ/α,   W = diag(1/(w_i V)),
 
-with α the variance of an innovation. Its weight over no jump is p exp(½ aᵀν̂)/√det(I + W⁻¹ B).
+with α the variance of an innovation. The weight over no jump is p L(E − aᵀν̂)/L(E)/√det(I + W⁻¹ B), E = Σ e²/α. L is
+Student's density, because α is not sure: innovations that are all too large speak for a larger noise, not for a jump.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _KINDS = len(_WEIGHTS)
 # Hypotheses of less weight are not worth a correction; those of more replace the filter's state.
 _MENTIONED, _CERTAIN = 0.4, 0.95
 _SOME = 4.0  # a smaller aᵀν̂ leaves every weight below that
+# The variances of the innovations are as sure as if so many innovations had told them.
+_SURE = 20.0
 # Without evidence, a jump before more samples than these would have shown.
 _UNSEEN = 3
 # A second jump within so many samples means that the derivatives of d have changed too.
@@ -44,12 +47,12 @@ class Mixture:
 
     shift (rows,): mean of the correction of ξ̂.
     variance (rows,): its variance.
-    certain: index of the hypothesis that is certain; −1 if none is.
+    certain: whether there was a jump.
     """
 
     shift: Array
     variance: Array
-    certain: int
+    certain: bool
 
 
 def empty_bank(rows: int, q: int) -> JumpBank:
@@ -59,6 +62,7 @@ def empty_bank(rows: int, q: int) -> JumpBank:
         signatures=np.zeros((rows, size * _NODES)),
         evidence=np.zeros((size, _NODES)),
         precision=np.zeros((size, _NODES, _NODES)),
+        misfit=np.zeros((size, 2)),
         log_weight=np.full(size, -np.inf),
         newest_age=np.inf,
         since_jump=LONG_AGO,
@@ -80,20 +84,32 @@ def inverse_variances(disturbance_bound: Array) -> Array:
     return np.asarray(1.0 / (V[:, None, None] * _WEIGHTS).reshape(-1, _NODES))
 
 
-def gain(evidence: Array, precision: Array, W: Array) -> Array:
+def gain(evidence: Array, precision: Array, misfit: Array, W: Array) -> Array:
     """Return the logarithm of what the evidence adds to the weights (2 L q2,)."""
     _, size, log_determinant = _solved(evidence, precision, W)
-    return np.asarray(0.5 * np.sum(evidence * size, axis=1) - 0.5 * (log_determinant - np.sum(np.log(W), axis=1)))
+    explained = np.column_stack([np.sum(evidence * size, axis=1), np.zeros(len(size))])
+    return np.asarray(
+        likelihood(misfit - explained) - likelihood(misfit) - 0.5 * (log_determinant - np.sum(np.log(W), axis=1))
+    )
+
+
+def likelihood(misfit: Array) -> Array:
+    """Return the logarithm of Student's density (2 L q2,) of innovations, over that of innovations of zero.
+
+    misfit (2 L q2,2): their sum of squares over the variances, and their number
+    """
+    squares = np.maximum(misfit[:, 0], 0.0)
+    return np.asarray(-0.5 * (_SURE + misfit[:, 1]) * np.log1p(squares / _SURE))
 
 
 def mixture(bank: JumpBank, W: Array) -> Mixture:
     """Return mean and variance of the correction by all hypotheses, no jump included."""
     rows = len(bank.signatures)
-    nothing = Mixture(np.zeros(rows), np.zeros(rows), -1)
+    nothing = Mixture(np.zeros(rows), np.zeros(rows), certain=False)
     diagonal = np.diagonal(bank.precision, axis1=1, axis2=2) + W
     if float(np.max(np.sum(bank.evidence**2 / diagonal, axis=1))) < _SOME:
         return nothing
-    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, W)
+    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, bank.misfit, W)
     top = max(float(np.max(log_weights)), 0.0)
     weights = np.exp(log_weights - top)
     weights = weights / (np.exp(-top) + np.sum(weights))
@@ -108,17 +124,29 @@ def mixture(bank: JumpBank, W: Array) -> Mixture:
     best = int(np.argmax(weights))
     # The first sample after a jump cannot tell its size from its instant.
     settled = best < len(weights) - len(weights) // LENGTH
-    certain = best if total > _CERTAIN and settled else -1
-    return Mixture(shift, np.maximum((spread + each**2) @ weights - shift**2, 0.0), certain)
+    variance = np.maximum((spread + each**2) @ weights - shift**2, 0.0)
+    return Mixture(shift, variance, certain=total > _CERTAIN and settled)
 
 
-def accept(bank: JumpBank, chosen: int, W: Array) -> tuple[Array, Array]:
-    """Return what a certain hypothesis adds to ξ̂ (rows,), and the columns (rows,3) that it adds to the factor of P."""
-    factor, size, _ = _solved(
-        bank.evidence[chosen : chosen + 1], bank.precision[chosen : chosen + 1], W[chosen : chosen + 1]
-    )
-    signatures = bank.signatures[:, chosen * _NODES : (chosen + 1) * _NODES]
-    return signatures @ size[0], signatures @ np.linalg.inv(factor[0]).T
+def accepted(bank: JumpBank, W: Array) -> tuple[Array, Array]:
+    """Return what a jump that is certain adds to ξ̂ (rows,), and the columns (rows,·) that it adds to the factor of P.
+
+    Mean and covariance are those of all hypotheses together, that of no jump included, because no instant is certain.
+    """
+    rows = len(bank.signatures)
+    log_weights = bank.log_weight + gain(bank.evidence, bank.precision, bank.misfit, W)
+    top = float(np.max(log_weights))
+    weights = np.exp(log_weights - top)
+    none = float(np.exp(-top))
+    weights, none = weights / (none + np.sum(weights)), none / (none + np.sum(weights))
+    factor, size, _ = _solved(bank.evidence, bank.precision, W)
+    signatures = bank.signatures.reshape(rows, -1, _NODES)
+    each = np.einsum("rhk,hk->rh", signatures, size)
+    shift = each @ weights
+    roots = np.sqrt(weights)
+    within = np.einsum("rhk,hjk->rhj", signatures, np.linalg.inv(factor)) * roots[:, None]
+    between = np.column_stack([(each - shift[:, None]) * roots, -shift * np.sqrt(none)])
+    return shift, np.hstack([within.reshape(rows, -1), between])
 
 
 def with_newest(bank: JumpBank, newest: Array, spacing: float) -> JumpBank:
@@ -135,6 +163,7 @@ def with_newest(bank: JumpBank, newest: Array, spacing: float) -> JumpBank:
         signatures=np.hstack([bank.signatures[:, added.shape[1] :], added]),
         evidence=np.concatenate([bank.evidence[count:], np.zeros((count, _NODES))]),
         precision=np.concatenate([bank.precision[count:], np.zeros((count, _NODES, _NODES))]),
+        misfit=np.concatenate([bank.misfit[count:], np.zeros((count, 2))]),
         log_weight=np.append(bank.log_weight[count:], np.tile(_LOG_PROBABILITIES, count // _KINDS)),
         newest_age=0.0,
         since_jump=bank.since_jump,

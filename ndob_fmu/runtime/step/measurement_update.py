@@ -23,17 +23,16 @@ from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.fixed_lag import smoothed
-from ndob_fmu.runtime.step.jump_bank import LONG_AGO, Mixture, accept, empty_bank, gain, mixture
+from ndob_fmu.runtime.step.jump_bank import LONG_AGO, Mixture, accepted, empty_bank, gain, likelihood, mixture
 
 # What a refused sample adds at most to an output's debt, and what a used one leaves of it.
 _MOST_DEBT = 10.0
 _DEBT_LEFT = 0.5
 # Innovations tell of the noise where it makes more than this part of their variance.
 _CLEAR = 6.0
-# Normalised innovations are averaged over so many samples. Where their mean exceeds the limit, the estimate is biased,
-# and they do not tell of the noise.
+# Normalised innovations are averaged over so many samples. What exceeds their mean tells of the noise, the mean of the
+# model.
 _LATEST = 10.0
-_BIASED = 1.0
 _LIMIT = 4.0
 
 
@@ -87,7 +86,8 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
     factor = np.zeros((len(xi), columns + p))
     factor[:, :columns] = memory.factor
     jumps, lagged = memory.jumps, memory.lagged
-    evidence, precision, log_weight = jumps.evidence, jumps.precision, jumps.log_weight
+    evidence, precision, misfit = jumps.evidence, jumps.precision, jumps.misfit
+    log_weight = jumps.log_weight
     signatures = jumps.signatures
     prior = xi
     refused, debt = sensors.refused.copy(), sensors.debt.copy()
@@ -112,6 +112,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         rho = of_jumps.reshape(evidence.shape)
         evidence_if_good = evidence + rho * (error / alpha)
         precision_if_good = precision + rho[:, :, None] * rho[:, None, :] / alpha
+        misfit_if_good = misfit + np.array([squared, 1.0])
         if not refused[i]:
             repeat_rate[i] += (repeats[i] - repeat_rate[i]) / MEMORY
         sample[i] = y[i]
@@ -138,24 +139,27 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             refused[i] = verdict.refused
             if verdict.refused:
                 fault = True
-                good = verdict.if_good + (
-                    gain(evidence_if_good, precision_if_good, model.jump_precision)
-                    - gain(evidence, precision, model.jump_precision)
+                if_good = verdict.if_good + 0.5 * squared + likelihood(misfit_if_good) - likelihood(misfit)
+                good = if_good + (
+                    gain(evidence_if_good, precision_if_good, misfit_if_good, model.jump_precision)
+                    - gain(evidence, precision, misfit, model.jump_precision)
                 )
                 better = good > verdict.if_faulty
                 evidence = np.where(better[:, None], evidence_if_good, evidence)
                 precision = np.where(better[:, None, None], precision_if_good, precision)
-                log_weight = log_weight + np.where(better, verdict.if_good - verdict.if_faulty, 0.0)
+                misfit = np.where(better[:, None], misfit_if_good, misfit)
+                log_weight = log_weight + np.where(better, if_good - verdict.if_faulty, 0.0)
                 fresh = debt[i] == 0.0
                 skipped[i] = error * error if fresh else 0.5 * (skipped[i] + error * error)
                 drift[i] = error if fresh else 0.5 * (drift[i] + error)
                 if not repeats[i]:
                     debt[i] += min(max(-verdict.if_faulty, 0.0), _MOST_DEBT)
-                weight = 0.0 if abs(mean[i]) > _BIASED else min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
+                weight = min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
                 counted[i] += weight
                 if not stale:
+                    product = (error - float(sensors.mean[i]) * sqrt(alpha)) * error
                     ratio[i] = adaptive_noise.averaged(
-                        float(ratio[i]), float(counted[i]), error * error / told[i], alpha / told[i], weight
+                        float(ratio[i]), float(counted[i]), product / told[i], alpha / told[i], weight
                     )
                 if not repeats[i]:
                     # Little of an outlier is used; more of a sample that only a wrong estimate makes look like one.
@@ -171,20 +175,23 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         used[i] = True
         debt[i] *= _DEBT_LEFT
         K = (factor @ spread) / alpha * model.estimated
-        evidence, precision = evidence_if_good, precision_if_good
+        evidence, precision, misfit = evidence_if_good, precision_if_good, misfit_if_good
         signatures = signatures - K[:, None] * of_jumps
         lagged = smoothed(lagged, row, K, error, alpha)
         xi = xi + K * error
         factor = factor - K[:, None] * spread
         factor[:, columns + i] = K * sqrt(noise[i])
         squares[i] += (squared - squares[i]) / MEMORY
-        weight = 0.0 if abs(mean[i]) > _BIASED else min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
+        weight = min(1.0, (_CLEAR * noise[i] / alpha) ** 2)
         counted[i] += weight
         left = error - float(row @ K) * error
+        product = (error - float(sensors.mean[i]) * sqrt(alpha)) * left
         ratio[i] = adaptive_noise.averaged(
-            float(ratio[i]), float(counted[i]), error * left / told[i], alpha / told[i], weight
+            float(ratio[i]), float(counted[i]), product / told[i], alpha / told[i], weight
         )
-    bank = JumpBank(signatures, evidence, precision, log_weight, jumps.newest_age, min(jumps.since_jump + 1, LONG_AGO))
+    bank = JumpBank(
+        signatures, evidence, precision, misfit, log_weight, jumps.newest_age, min(jumps.since_jump + 1, LONG_AGO)
+    )
     sensors = replace(
         sensors,
         noise_ratio=ratio if memory.age > model.layout.size else sensors.noise_ratio,
@@ -199,8 +206,8 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         interval=np.where(used, np.maximum(sensors.waited, sensors.interval * (1.0 - 0.5 / MEMORY)), sensors.interval),
     )
     added = mixture(bank, model.jump_precision)
-    if added.certain >= 0:
-        shift, more = accept(bank, added.certain, model.jump_precision)
+    if added.certain:
+        shift, more = accepted(bank, model.jump_precision)
         xi = xi + shift
         columns_of_series = model.start_columns if bank.since_jump < LONG_AGO else np.zeros_like(model.start_columns)
         factor = np.hstack([factor, more, columns_of_series])
