@@ -4,9 +4,15 @@ The product of the innovation e and of the residual after the update has the exp
 told (Mehra, 1970). The mean of the latest innovations is subtracted from e, because a wrong model makes it. The
 product's moving average replaces the variance that was told where the two differ by a factor of two; so nothing is lost
 where that was right.
+
+Noise makes all changes differ. Where the smallest change from one sample to the next comes again and again, it is the
+step of a rounding, whose error has the variance of an equal distribution over it. That is the least that the noise can
+be.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 
@@ -14,12 +20,34 @@ _MEMORY = 200.0
 _FIRST = 10.0
 LEAST_RATIO = 1e-4
 _CREDIBLE = (0.5, 2.0)
+# Samples are rounded where their smallest change was seen so many times, to this part. So many equal ones in a row at
+# most count as one.
+_SEEN, _EQUAL = 4.0, 1e-6
+_LONGEST_ROW = 20.0
 
 
 def averaged(ratio: float, counted: float, product: float, largest: float, weight: float) -> float:
     """Return the ratio of variances after one more product of innovation and residual, over the told variance."""
     limited = min(max(product, -9.0 * max(ratio, LEAST_RATIO)), 9.0 * largest)
     return ratio + weight * (limited - ratio) / min(_MEMORY, _FIRST + counted)
+
+
+def smallest_change(resolution: Array, alike: Array, change: Array) -> tuple[Array, Array]:
+    """Return the smallest change (p,) from one sample to the next, and how often it was seen, after one more change."""
+    change = np.where(change > 0.0, change, np.inf)
+    least = np.minimum(resolution, change)
+    again = np.isfinite(change) & (change <= (1.0 + _EQUAL) * least)
+    known = resolution <= (1.0 + _EQUAL) * least
+    return least, np.where(again, np.where(known, np.minimum(alike + 1.0, _SEEN), 1.0), alike)
+
+
+def of_rounding(resolution: Array, alike: Array, repeat_rate: Array) -> Array:
+    """Return the variance (p,) of the rounding of samples, 0 where they are not known to be rounded.
+
+    The rounding error is the same while a sample repeats, so that all samples in a row tell as much as one.
+    """
+    width = np.where(alike >= _SEEN, resolution, 0.0)
+    return np.asarray(width**2 / 12.0 / np.maximum(1.0 - repeat_rate, 1.0 / _LONGEST_ROW))
 
 
 def in_use(ratios: Array, least: Array) -> list[float]:

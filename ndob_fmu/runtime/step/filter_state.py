@@ -36,6 +36,8 @@ class SensorMemory:
     noise_ratio: the variance of the noise over the one that was told.
     counted: samples behind `noise_ratio`.
     repeat_rate: share of samples that repeated the one before.
+    resolution: the smallest change from one sample to the next; ∞ before there was one.
+    alike: how many changes were of that size, counted up to a limit.
     refused: whether the last sample was refused.
     debt: how improbable the refused samples are, in nats; falls with each sample that is used.
     skipped, drift: mean square and mean of the innovations that were refused.
@@ -47,6 +49,8 @@ class SensorMemory:
     noise_ratio: Array
     counted: Array
     repeat_rate: Array
+    resolution: Array
+    alike: Array
     refused: Array
     debt: Array
     skipped: Array

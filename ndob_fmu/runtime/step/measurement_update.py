@@ -192,8 +192,13 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
     bank = JumpBank(
         signatures, evidence, precision, misfit, log_weight, jumps.newest_age, min(jumps.since_jump + 1, LONG_AGO)
     )
+    change = np.abs(np.array(y) - np.array(state.sample))
+    resolution, alike = adaptive_noise.smallest_change(sensors.resolution, sensors.alike, change)
+    ratio = np.maximum(ratio, adaptive_noise.of_rounding(resolution, alike, repeat_rate) / told)
     sensors = replace(
         sensors,
+        resolution=resolution,
+        alike=alike,
         noise_ratio=ratio if memory.age > model.layout.size else sensors.noise_ratio,
         counted=counted if memory.age > model.layout.size else sensors.counted,
         repeat_rate=repeat_rate,

@@ -141,8 +141,8 @@ class SampledObserver:
         values = np.array([*state.xi_hat, *state.d_hat, *state.d_std, *state.u, *state.innovation, *state.squares])
         arrays = (
             *(memory.factor, memory.past, memory.past_age),
-            *(memory.jumps.signatures, memory.jumps.evidence, memory.jumps.precision),
-            *(sensors.noise_ratio, sensors.counted, sensors.repeat_rate, sensors.debt, sensors.skipped),
+            *(memory.jumps.signatures, memory.jumps.evidence, memory.jumps.precision, memory.jumps.misfit),
+            *(sensors.noise_ratio, sensors.counted, sensors.repeat_rate, sensors.alike, sensors.debt, sensors.skipped),
             *(sensors.drift, sensors.mean, sensors.waited, sensors.interval),
             *(memory.lagged.age, memory.lagged.value, memory.lagged.variance, memory.lagged.covariance),
         )
@@ -158,6 +158,8 @@ class SampledObserver:
             and np.all(sensors.noise_ratio >= 0.0)
             and np.all(sensors.counted >= 0.0)
             and np.all((sensors.repeat_rate >= 0.0) & (sensors.repeat_rate <= 1.0))
+            and np.all(sensors.resolution > 0.0)
+            and np.all(sensors.alike >= 0.0)
             and np.all(sensors.debt >= 0.0)
             and np.all(sensors.waited >= 0.0)
             and np.all(sensors.interval >= 0.0)
@@ -165,6 +167,7 @@ class SampledObserver:
             and not np.any(np.isnan(memory.jumps.log_weight))
             and not np.any(memory.jumps.log_weight == np.inf)
             and memory.jumps.newest_age >= 0.0
+            and np.all(memory.jumps.misfit >= 0.0)
             and np.all(np.diagonal(memory.jumps.precision, axis1=1, axis2=2) >= 0.0)
             and memory.tuned_at >= 0.0
             and memory.step >= 0.0

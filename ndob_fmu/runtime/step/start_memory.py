@@ -24,6 +24,8 @@ def start_memory(model: FilterModel) -> FilterMemory:
             noise_ratio=np.ones(p),
             counted=zeros,
             repeat_rate=zeros,
+            resolution=np.full(p, np.inf),
+            alike=zeros,
             refused=np.zeros(p, dtype=bool),
             debt=zeros,
             skipped=zeros,
