@@ -17,6 +17,7 @@ from ndob_fmu.runtime.design.separability import inseparable_offsets, inseparabl
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.numerics.hold import History
 from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
+from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_state import (
     FilterMemory,
     JumpBank,
@@ -37,7 +38,7 @@ class ObserverSlave(Slave):
     """Prepares the observer of the chosen method from the parameters when initialization ends, then steps it."""
 
     state_types = (
-        *(SampledObserverState, FilterMemory, JumpBank, SensorMemory, LagMemory),
+        *(SampledObserverState, FilterMemory, ErrorColumns, JumpBank, SensorMemory, LagMemory),
         *(PaperObserverState, History, ChannelState),
     )
 

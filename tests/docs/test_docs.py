@@ -173,7 +173,7 @@ def test_the_tolerances_in_the_pages_are_those_of_the_code():
 
 def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
     theory = " ".join((DOCS / "theory.md").read_text("utf-8").split())
-    bank, fast, faulty, late, lag, noise, update, wrong, time = (
+    bank, fast, faulty, late, lag, noise, sensor, wrong, time = (
         import_module(f"ndob_fmu.runtime.step.{name}")
         for name in (
             "jump_bank",
@@ -182,12 +182,12 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
             "delayed_outputs",
             "fixed_lag",
             "adaptive_noise",
-            "measurement_update",
+            "sensor_memory",
             "reconsider",
             "time_update",
         )
     )
-    observer, track = (import_module(f"ndob_fmu.runtime.step.{name}") for name in ("sampled_observer", "tracking_step"))
+    observer = import_module("ndob_fmu.runtime.step.sampled_observer")
     at_sample, inside = np.exp(bank._LOG_PROBABILITIES)
     share = 1.0 / (1.0 + np.exp(-faulty._LOG_ODDS))
     outliers = " or ".join((", ".join(f"α + {_short(v)} R" for v in faulty._OUTLIERS)).rsplit(", ", 1))
@@ -198,20 +198,20 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"normal, variance {outliers}",
         f"at least {_short(faulty._RAREST_REPEAT)}, if it repeats",
         f"the probability e⁻{str(-int(faulty._LOG_ODDS_AT_START)).translate(SUPERSCRIPT)}",
-        f"at most {update._MOST_DEBT:g} nats",
+        f"at most {sensor._MOST_DEBT:g} nats",
         f"Beyond {wrong._HOPELESS:g} nats ({wrong._PATIENCE * wrong._HOPELESS:g} where",
         f"{wrong._NOISY:g} where e has both signs",
         f"e/√α exceeds {wrong._WRONG}, not the samples",
         f"Beyond {wrong._LOST**2:g}-fold, P starts again",
         f"V = {bank._VARIANCE:g} D₀² and p = {at_sample + inside:.3g} a sample",
         f"the last {bank.LENGTH} steps: a jump at the sample ({at_sample / (at_sample + inside):.1g})",
-        f"weight p (({bank._SURE:g} + E)/({bank._SURE:g} + E − aᵀν̂))^{{({bank._SURE:g} + n)/2}}",
+        f"weight p (({bank._SURE:g} + Σ e²/α)/({bank._SURE:g} + Σ r²/s))^{{({bank._SURE:g} + n)/2}}",
         f"Student's distribution with {bank._SURE:g} degrees",
         f"exceed {bank._MENTIONED}, what is published",
         f"exceed {bank._CERTAIN}, and the likeliest",
         f"within {bank.LONG_AGO} samples",
         f"over about {noise._MEMORY:g} samples replaces",
-        f"by ({update._CLEAR:g} R/α)²",
+        f"by ({sensor._CLEAR:g} R/α)²",
         f"has come {noise._SEEN:g} times, to {_short(noise._EQUAL)} of it",
         f"at most {noise._LONGEST_ROW - 1:g} of {noise._LONGEST_ROW:g}",
         f"{lag._KEPT} instants are kept over the `lag`",
@@ -220,7 +220,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"at most {observer._AS_GOOD}² times",
         f"within {100.0 * fast._NONLINEAR:g} % of the converged ones ({_short(fast._LINEAR)} for",
         f"between {fast._LEAST_SQUARES} and {fast._MOST_SQUARES:g}",
-        f"for {track.LATE} times the longest usual interval",
+        f"for {sensor.LATE} times the longest usual interval",
     ]
     assert [phrase for phrase in said if phrase not in theory] == []
 

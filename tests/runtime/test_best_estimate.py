@@ -266,22 +266,22 @@ def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
             case.go(H)
         case.batch = plain
         bank, xi = state.memory.jumps, np.array(state.xi_hat[: n + ORDER])
+        columns = state.memory.columns.signatures[: n + ORDER]
         if bank.newest_age == 0.0:
             told += [knowing(plain, case.F, instants, V) for instants in AT_SAMPLE]
         told = told[-len(bank.log_weight) :]
         for batch, hypothesis in zip(reversed(told), reversed(range(len(bank.log_weight))), strict=False):
             shares = np.array([share for _, share in AT_SAMPLE[hypothesis % 2]])
             nodes = len(shares)
-            precision = bank.precision[hypothesis, :nodes, :nodes]
-            of_size = np.linalg.inv(precision + np.diag(1.0 / (shares * V)))
-            evidence = bank.evidence[hypothesis, :nodes]
-            signatures = bank.signatures[: n + ORDER, 3 * hypothesis : 3 * hypothesis + nodes]
+            root = bank.root[hypothesis, :nodes, :nodes]
+            size = bank.size[hypothesis, :nodes]
+            signatures = columns[:, 3 * hypothesis : 3 * hypothesis + nodes]
             mean, covariance = batch.estimate()
-            corrected = plain.estimate()[1] + signatures @ of_size @ signatures.T
-            np.testing.assert_allclose(xi + signatures @ of_size @ evidence, mean, rtol=0, atol=1e-8 * BOUND)
+            corrected = plain.estimate()[1] + signatures @ root @ root.T @ signatures.T
+            np.testing.assert_allclose(xi + signatures @ size, mean, rtol=0, atol=1e-8 * BOUND)
             np.testing.assert_allclose(corrected, covariance, rtol=0, atol=1e-7 * np.max(covariance))
-            gained = 0.5 * evidence @ of_size @ evidence
-            gained -= 0.5 * np.linalg.slogdet(np.eye(nodes) + V * np.diag(shares) @ precision)[1]
+            gained = bank.log_weight[hypothesis] - np.log(0.003 * (0.7, 0.3)[hypothesis % 2])
+            gained += 0.5 * (bank.misfit[hypothesis, 0] - bank.misfit[hypothesis, 1])
             assert gained == pytest.approx(batch.log_likelihood() - plain.log_likelihood(), abs=1e-6)
             checked += 1
     assert len(told) >= 6

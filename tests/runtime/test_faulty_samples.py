@@ -115,8 +115,7 @@ def test_noise_that_was_told_wrong_is_found_in_the_innovations(told):
 
 
 def test_noise_that_was_told_right_stays_as_told():
-    ratio = run(seed=1).state.memory.sensors.noise_ratio
-    assert np.all((ratio > 0.5) & (ratio < 2.0))
+    assert all(0.5 < sensor.noise_ratio < 2.0 for sensor in run(seed=1).state.memory.sensors)
 
 
 def test_a_plant_that_was_moved_by_hand_is_found_again():

@@ -222,7 +222,7 @@ def test_the_gain_is_frozen_once_it_has_converged():
     observer = observer_of(noise_std=1e-5)
     run = Run(observer, constant(), 5e-3, 2.0, sigma=1e-5)
     assert run.state.memory.converged
-    np.testing.assert_array_equal(run.state.memory.factor, observer.design(5e-3).prior_factor)
+    np.testing.assert_array_equal(run.state.memory.columns.factor, observer.design(5e-3).prior_factor)
 
 
 def test_the_host_may_change_its_step_in_every_way():
@@ -246,7 +246,7 @@ def test_a_step_depends_on_nothing_but_its_arguments():
         observer.step(first, [0.3], [0.2, 0.1], H)
     again, two = observer.step(start, [0.1], [1.0, 0.9], 2e-3)
     np.testing.assert_array_equal(first.xi_hat, again.xi_hat)
-    np.testing.assert_array_equal(first.memory.factor, again.memory.factor)
+    np.testing.assert_array_equal(first.memory.columns.factor, again.memory.columns.factor)
     np.testing.assert_array_equal([one.d_hat, one.d_std], [two.d_hat, two.d_std])
     np.testing.assert_array_equal(start.xi_hat[:4], eq.xhat0)
 

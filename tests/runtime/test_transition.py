@@ -8,7 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from ndob_fmu.runtime.numerics.transition import sampled
+from ndob_fmu.runtime.numerics.transition import transition
 
 
 def exact(F, g, H):
@@ -25,6 +25,11 @@ def exact(F, g, H):
                 within[i, j] *= H if abs(both) < 1e-40 else mpmath.expm1(both * H) / both
         covariance = V * within * V.T
         return tuple(np.array([[float(z.real) for z in row] for row in M.tolist()]) for M in (Phi, covariance))
+
+
+def sampled(F, g, H):
+    done = transition(F, g, H, np.zeros((len(F), 0)), ())
+    return done.Phi, done.noise
 
 
 def chain(n):
@@ -71,3 +76,15 @@ def test_a_stiff_plant_keeps_the_digits_of_its_slow_and_of_its_fast_state(fast):
     np.testing.assert_allclose(
         (noise @ noise.T) / np.outer(scale, scale), covariance / np.outer(scale, scale), rtol=0, atol=1e-8
     )
+
+
+@pytest.mark.parametrize("H", [1e-3, 0.6])
+def test_the_responses_within_a_step_are_those_of_steps_that_are_so_long(H):
+    """Both for a step that one series spans and for one that is halved first."""
+    random = np.random.default_rng(7)
+    F, held, parts = random.normal(size=(5, 5)), random.normal(size=(5, 2)), (1.0, 0.887, 0.113)
+    responses = transition(F, np.zeros((5, 1)), H, held, parts).responses
+    assert responses.shape == (3, 5, 2)
+    for part, response in zip(parts, responses, strict=True):
+        expected = exact(F, np.zeros((5, 1)), part * H)[0] @ held
+        np.testing.assert_allclose(response, expected, rtol=0, atol=1e-13 * np.max(np.abs(expected)))

@@ -24,14 +24,10 @@ _LEAST_NOISE = 1e-10
 
 @dataclass(frozen=True)
 class StepDesign:
-    """The stationary design for a step size, and what follows from it for the class of disturbances that is known.
-
-    f_states: indices of the states that f depends on.
-    """
+    """The stationary design for a step size, and what follows from it for the class of disturbances that is known."""
 
     stationary: StationaryDesign
     known: Knowledge
-    f_states: tuple[int, ...]
 
     @property
     def H(self) -> float:
@@ -49,6 +45,17 @@ class StepDesign:
         return steady_std(self.stationary, self.known.disturbance_rate)
 
     @cached_property
+    def judged(self) -> Array:
+        """Rows (p,N) of what tells whether the gain has converged: the outputs, and for r ≥ 1 the disturbances."""
+        system = self.stationary.system
+        return system.C if system.selector is None else np.vstack([system.C, system.selector])
+
+    @cached_property
+    def judged_variances(self) -> Array:
+        """Their variances once it has."""
+        return squared_norms(self.judged @ self.stationary.prior_factor)
+
+    @cached_property
     def residual_std(self) -> Array:
         """The standard deviation (p,) of residuals once the gain has converged."""
         return steady_residual_std(self.stationary, self.source_bound)
@@ -59,7 +66,6 @@ class StepDesigns:
     """Finds the design for a step size.
 
     x_std (n,): standard deviations of x̂₀'s error. pi: sets the pace where `known` has no rate of the disturbance (0).
-    f_states: indices of the states that f depends on.
     """
 
     system: Augmented
@@ -67,7 +73,6 @@ class StepDesigns:
     x_std: Array
     alpha: float
     pi: float
-    f_states: tuple[int, ...]
     _latest: LatestResult[StepDesign] = field(default_factory=LatestResult, repr=False, compare=False)
     _latest_intensities: LatestResult[Intensities] = field(default_factory=LatestResult, repr=False, compare=False)
 
@@ -82,7 +87,7 @@ class StepDesigns:
             return stationary_design(self.system, H, self.known.R_factor, self.intensities(tuned_for), self.alpha)
 
         def design() -> StepDesign:
-            return StepDesign(_DESIGNS((H, tuned_for, self._key), stationary), self.known, self.f_states)
+            return StepDesign(_DESIGNS((H, tuned_for, self._key), stationary), self.known)
 
         return self._latest((H, tuned_for), design)
 

@@ -12,9 +12,7 @@ be.
 
 from __future__ import annotations
 
-import numpy as np
-
-from ndob_fmu.runtime.arrays import Array
+from collections.abc import Sequence
 
 _MEMORY = 200.0
 _FIRST = 10.0
@@ -32,27 +30,28 @@ def averaged(ratio: float, counted: float, product: float, largest: float, weigh
     return ratio + weight * (limited - ratio) / min(_MEMORY, _FIRST + counted)
 
 
-def smallest_change(resolution: Array, alike: Array, change: Array) -> tuple[Array, Array]:
-    """Return the smallest change (p,) from one sample to the next, and how often it was seen, after one more change."""
-    change = np.where(change > 0.0, change, np.inf)
-    least = np.minimum(resolution, change)
-    again = np.isfinite(change) & (change <= (1.0 + _EQUAL) * least)
-    known = resolution <= (1.0 + _EQUAL) * least
-    return least, np.where(again, np.where(known, np.minimum(alike + 1.0, _SEEN), 1.0), alike)
+def smallest_change(resolution: float, alike: float, change: float) -> tuple[float, float]:
+    """Return the smallest change from one sample to the next, and how often it was seen, after one more change."""
+    if not change > 0.0:
+        return resolution, alike
+    least = min(resolution, change)
+    if change > (1.0 + _EQUAL) * least:
+        return least, alike
+    return least, min(alike + 1.0, _SEEN) if resolution <= (1.0 + _EQUAL) * least else 1.0
 
 
-def of_rounding(resolution: Array, alike: Array, repeat_rate: Array) -> Array:
-    """Return the variance (p,) of the rounding of samples, 0 where they are not known to be rounded.
+def of_rounding(resolution: float, alike: float, repeat_rate: float) -> float:
+    """Return the variance of the rounding of samples, 0 where they are not known to be rounded.
 
     The rounding error is the same while a sample repeats, so that all samples in a row tell as much as one.
     """
-    width = np.where(alike >= _SEEN, resolution, 0.0)
-    return np.asarray(width**2 / 12.0 / np.maximum(1.0 - repeat_rate, 1.0 / _LONGEST_ROW))
+    width = resolution if alike >= _SEEN else 0.0
+    return width**2 / 12.0 / max(1.0 - repeat_rate, 1.0 / _LONGEST_ROW)
 
 
-def in_use(ratios: Array, least: Array) -> list[float]:
+def in_use(ratios: Sequence[float], least: Sequence[float]) -> list[float]:
     """Return the ratios of variances (p,) that the filter uses, for the least possible ones (p,)."""
     return [
         1.0 if _CREDIBLE[0] < ratio < _CREDIBLE[1] else max(ratio, smallest)
-        for ratio, smallest in zip(ratios.tolist(), least.tolist(), strict=True)
+        for ratio, smallest in zip(ratios, least, strict=True)
     ]

@@ -17,7 +17,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Channel, Equations, Vector
 from ndob_fmu.runtime.step.filter_state import LagMemory
-from ndob_fmu.runtime.step.fixed_lag import at_lag, empty_lag, remembered
+from ndob_fmu.runtime.step.fixed_lag import at_lag, empty_lag, is_due, later, remembered
 from ndob_fmu.runtime.step.observer import Estimate, Observer, S, numbers
 
 VANISHING = 0.1
@@ -80,7 +80,7 @@ class ChannelObserver(Generic[S]):
 
     def init(self, x_hat: Vector) -> ChannelState[S]:
         """Return the state that starts from x̂₀ (n,)."""
-        directions = empty_lag(0, len(self.channel.bound), self.lag)
+        directions = empty_lag(len(self.channel.bound), self.lag)
         return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,), directions=directions)
 
     def possible(self, state: ChannelState[S], elapsed: float) -> bool:
@@ -96,8 +96,7 @@ class ChannelObserver(Generic[S]):
         """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
         after, lumped = self.observer.step(state.lumped, u, y, H)
         estimate, directions = self._read(lumped, after.u, state)
-        aged = replace(directions, age=np.where(directions.age >= 0.0, directions.age + H, -1.0))
-        return ChannelState(lumped=after, d_hat=estimate.d_hat, directions=aged), estimate
+        return ChannelState(lumped=after, d_hat=estimate.d_hat, directions=later(directions, H)), estimate
 
     def _read(self, lumped: Estimate, u: Vector | Array, state: ChannelState[S]) -> tuple[Estimate, LagMemory]:
         """Return the estimate of d in place of that of w, and the directions with the one at this sample.
@@ -112,7 +111,8 @@ class ChannelObserver(Generic[S]):
         if self.lag > 0.0:
             k = len(self.channel.bound)
             n = np.zeros(k) if at_sample is None else at_sample
-            directions = remembered(directions, n, np.zeros((k, 0)), np.zeros((0, 0)), self.lag)
+            if is_due(directions, self.lag):
+                directions = remembered(directions, n, np.zeros(k))
             then = self._if_long_enough(at_lag(directions, self.lag, k)[0])
         d_lagged, d_lagged_std = self._fit(then, lumped.d_lagged, lumped.d_lagged_std, state.d_hat)
         read = replace(

@@ -10,10 +10,12 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.step_designs import StepDesign, squared_norms
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers, ObserverStepFunction
+from ndob_fmu.runtime.numerics.transition import transition
+from ndob_fmu.runtime.step.error_columns import joined
 from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory
-from ndob_fmu.runtime.step.jump_bank import LENGTH, full_bank
+from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS, LENGTH, full_bank
 from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import numbers
 
@@ -101,33 +103,32 @@ def squares_are_usual(squares: Numbers) -> bool:
     return min(squares) >= _LEAST_SQUARES and max(squares) <= _MOST_SQUARES
 
 
-def has_converged(
-    model: FilterModel, memory: FilterMemory, measured: Measured, squares: Numbers, design: StepDesign
-) -> bool:
-    """Return whether the gain of a design may replace that of the covariance, after a step."""
-    bank = memory.jumps
-    quiet = not measured.suspicious and not measured.mixture.shift.any() and bool(np.all(measured.used))
-    if not (quiet and squares_are_usual(squares)) or (np.max(np.abs(bank.evidence), initial=0.0) > 0.0 and not quiet):
-        return False
-    stationary = design.stationary
-    rows = stationary.system.C
-    if stationary.system.selector is not None:
-        rows = np.vstack([rows, stationary.system.selector])
+def is_quiet(measured: Measured) -> bool:
+    """Return whether all samples of a step were used and usual."""
+    quiet = not measured.suspicious and measured.mixture.shift is None and all(measured.used)
+    return quiet and squares_are_usual(measured.squares)
+
+
+def has_converged(model: FilterModel, memory: FilterMemory, design: StepDesign) -> bool:
+    """Return whether the gain of a design may replace that of the covariance, after a quiet step."""
     tolerance = _NONLINEAR if model.equations.f_states else _LINEAR
-    now, frozen = (squared_norms(rows @ factor) for factor in (memory.factor, stationary.prior_factor))
-    return bool(np.all(now <= frozen * (1.0 + tolerance) ** 2))
+    now = squared_norms(design.judged @ memory.columns.factor)
+    return bool((now <= design.judged_variances * (1.0 + tolerance) ** 2).all())
 
 
 def frozen_memory(model: FilterModel, memory: FilterMemory, design: StepDesign) -> FilterMemory:
     """Return the memory that stays the same while the gain is frozen."""
     stationary = design.stationary
     if stationary.system.order == 0:
-        return replace(memory, factor=stationary.prior_factor, converged=True)
+        return replace(memory, columns=memory.columns.with_factor(stationary.prior_factor), converged=True)
     spacing = max(1, round(model.jump_spacing / design.H))
     signatures = []
-    mu = model.jumps_in_step(stationary.system.A, design.H)
+    A = stationary.system.A
+    responses = transition(A, np.zeros((len(A), 0)), design.H, model.jump_channel, AFTER_JUMPS).responses
+    mu = model.signatures_in_step(responses)
     for age in range(LENGTH * spacing):
         if age % spacing == 0:
             signatures.append(mu)
         mu = stationary.discrete.Phi @ (mu - stationary.K @ (stationary.system.C @ mu))
-    return replace(memory, factor=stationary.prior_factor, jumps=full_bank(signatures[::-1]), converged=True)
+    columns = joined(stationary.prior_factor, np.hstack(signatures[::-1]), memory.columns.covariance)
+    return replace(memory, columns=columns, jumps=full_bank(model.bound), converged=True)

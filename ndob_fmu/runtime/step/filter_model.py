@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.equations import Equations, Vector
-from ndob_fmu.runtime.numerics.transition import responses
+from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
+from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
-from ndob_fmu.runtime.step.jump_bank import INSTANTS, inverse_variances
+from ndob_fmu.runtime.step.filter_state import SensorMemory
+from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_root, signatures_of
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.settings import ObserverSettings
 
 _SAMPLES_PER_STATE = 3
-
-
-@dataclass(frozen=True)
-class Slopes:
-    """ẋ and y linearised.
-
-    F (N,N): of ξ' = F ξ + ….
-    C (p,N): of y.
-    """
-
-    F: Array
-    C: Array
 
 
 @dataclass(frozen=True)
@@ -61,18 +53,31 @@ class FilterModel:
         return np.array(self.settings.disturbance_bound, dtype=float)
 
     @cached_property
-    def jump_precision(self) -> Array:
-        """W of the jump hypotheses (2 L q2,3)."""
-        return inverse_variances(self.bound)
+    def jump_root(self) -> Array:
+        """Factors (2 q2,3,3) of the covariance of the sizes of jumps in one step, before any evidence."""
+        return first_root(self.bound)
+
+    @cached_property
+    def jump_channel(self) -> Array:
+        """The channel (N,q2) through which d drives ξ."""
+        channel = np.zeros((self.layout.size, self.layout.q))
+        channel[self.layout.disturbance] = np.eye(self.layout.q)
+        return channel
 
     @property
     def adapts(self) -> bool:
         """Whether the variance of the noise follows the innovations, which for r = 0 carry the disturbance."""
         return self.settings.adapt_noise and self.layout.order > 0
 
-    def noise_ratios(self, found: Array) -> list[float]:
-        """Return the variances of the noise that are used over those told (p,), for those that were found (p,)."""
-        return in_use(found, self.least_noise) if self.adapts else [1.0] * len(found)
+    def noise_ratios(self, sensors: Sequence[SensorMemory]) -> list[float]:
+        """Return the variances of the noise that are used over those told (p,)."""
+        if not self.adapts:
+            return [1.0] * len(sensors)
+        return in_use([sensor.noise_ratio for sensor in sensors], self.least_noise.tolist())
+
+    def noise_used(self, sensors: Sequence[SensorMemory]) -> list[float]:
+        """Return the variances of the noise that are used (p,)."""
+        return [a * b for a, b in zip(self.noise_variance.tolist(), self.noise_ratios(sensors), strict=True)]
 
     @cached_property
     def delayed(self) -> tuple[int, ...]:
@@ -113,49 +118,125 @@ class FilterModel:
         columns[self.layout.series] = np.diag(self.start_std[self.layout.series])
         return columns
 
-    def jumps_in_step(self, F: Array, H: float) -> Array:
-        """Return the responses (N + past,4 q2) at the end of a step H (s) to jumps in it, for slopes F (N,N) of ẋ."""
-        layout = self.layout
-        channel = np.zeros((layout.size, layout.q))
-        channel[layout.disturbance] = np.eye(layout.q)
-        at_end = responses(F, channel, [(1.0 - instant) * H for instant in INSTANTS])
-        newest = np.zeros((self.rows, layout.q * len(INSTANTS)))
-        newest[: layout.size] = np.stack(at_end, axis=2).reshape(layout.size, -1)
-        return newest
+    @cached_property
+    def noise_directions(self) -> Array:
+        """Directions (N,·) of white noise: on the r-th derivatives of d, and on states."""
+        on_states = np.eye(self.layout.size)[:, self._noisy]
+        return np.hstack([self.layout.last_derivative, on_states])
+
+    def noise_sizes(self, intensity: Array, H: float) -> Array:
+        """Return the square root of the intensities in these directions, for d's (q2,) and a step H (s)."""
+        told, undriven = self._on_states
+        return np.asarray(np.sqrt(np.concatenate([intensity, told + undriven * H])))
+
+    @cached_property
+    def _on_states(self) -> tuple[Array, Array]:
+        told = np.array(self.settings.state_noise, dtype=float)
+        return told[self._noisy] ** 2, self.undriven[self._noisy]
+
+    @cached_property
+    def _noisy(self) -> NDArray[np.intp]:
+        return np.flatnonzero(np.array(self.settings.state_noise) + self.undriven > 0.0)
+
+    def signatures_in_step(self, responses: Array) -> Array:
+        """Return the signatures (N + past,6 q2) of jumps in a step, for their responses (4,N,q2) at its end."""
+        newest = np.zeros((self.rows, self.layout.q * len(INSTANTS)))
+        newest[: self.layout.size] = responses.transpose(1, 2, 0).reshape(self.layout.size, -1)
+        return signatures_of(newest)
+
+    @cached_property
+    def considers(self) -> bool:
+        """Whether there are entries of ξ that samples do not correct."""
+        return not bool(np.all(self.estimated))
 
     def with_parameters(self, xi: Array) -> Vector:
         """Return the model's parameters, the estimated ones from ξ̂."""
-        uncertain = self.layout.uncertain
-        if not any(self.settings.estimated[i] for i in uncertain):
+        if not self._estimates_parameters:
             return self.parameters
         values = list(self.parameters)
-        for place, index in enumerate(uncertain):
+        for place, index in enumerate(self.layout.uncertain):
             values[index] = float(xi[self.layout.parameters.start + place])
         return tuple(values)
 
-    def slopes(self, xi: Array, u: Vector) -> Slopes:
-        """Linearise at ξ̂ (N or more,) and u (m,)."""
-        layout, eq = self.layout, self.equations
-        n, q, p = layout.n, layout.q, len(eq.outputs)
-        x = xi[:n].tolist()
-        d = xi[layout.disturbance].tolist() or [0.0] * q
-        parameters = self.with_parameters(xi)
-        both = np.array(eq.linearisation(x, u, d, parameters)).reshape(n + p, n + q)
-        F, C = layout.chain.copy(), np.zeros((p, layout.size))
-        F[:n, :n], C[:, :n] = both[:n, :n], both[n:, :n]
+    def step_constants(self, parameters: Vector) -> Numbers:
+        """Return what the generated step needs of the parameters. Raises ArithmeticError or ValueError."""
+        return self._step_constants if parameters is self.parameters else self._constants_of(parameters)
+
+    @cached_property
+    def _step_constants(self) -> Numbers:
+        return self._constants_of(self.parameters)
+
+    def _constants_of(self, parameters: Vector) -> Numbers:
+        return self.equations.steps.observer_constants(parameters)
+
+    @cached_property
+    def no_sample(self) -> tuple[float, ...]:
+        """Zeros (p,), for the generated step without a correction."""
+        return (0.0,) * len(self.equations.outputs)
+
+    @cached_property
+    def no_gain(self) -> ConvergedGain:
+        """The gain of the generated step without a correction."""
+        p, n, q = len(self.equations.outputs), self.layout.n, self.layout.q
+        return ConvergedGain(
+            gate=(inf,) * p,
+            weight=(0.0,) * p,
+            d_std=(0.0,) * q,
+            at_sample_std=(0.0,) * q,
+            residual_std=(0.0,) * p,
+            K=(0.0,) * ((n + HIGHEST_ORDER * q) * p),
+        )
+
+    @cached_property
+    def _estimates_parameters(self) -> bool:
+        return any(self.settings.estimated[i] for i in self.layout.uncertain)
+
+    def rates(self, xi: Array, u: Vector) -> Array:
+        """Return F (N,N) of ξ' = F ξ + …, linearised at ξ̂ (N or more,) and u (m,)."""
+        layout, (both, sensitivity) = self.layout, self._linearised(xi, u)
+        n = layout.n
+        F: Array = layout.chain.copy()
+        F[:n, :n] = both[:n, :n]
         if layout.order:
             F[:n, layout.disturbance] = both[:n, n:]
-        for place, output in enumerate(layout.biased):
-            C[output, layout.biases.start + place] = 1.0
-        if layout.uncertain:
-            sensitivity = np.array(eq.sensitivity(x, u, d, parameters)).reshape(n + p, -1)[:, list(layout.uncertain)]
-            F[:n, layout.parameters], C[:, layout.parameters] = sensitivity[:n], sensitivity[n:]
-        return Slopes(F, C)
+        if sensitivity is not None:
+            F[:n, layout.parameters] = sensitivity[:n]
+        return F
 
-    def predicted_output(self, xi: Array, u: Vector) -> Array:
+    def output_slopes(self, xi: Array, u: Vector) -> Array:
+        """Return C (p,N) of y, linearised at ξ̂ (N or more,) and u (m,)."""
+        layout, (both, sensitivity) = self.layout, self._linearised(xi, u)
+        n = layout.n
+        C: Array = self._offsets.copy()
+        C[:, :n] = both[n:, :n]
+        if sensitivity is not None:
+            C[:, layout.parameters] = sensitivity[n:]
+        return C
+
+    def _linearised(self, xi: Array, u: Vector) -> tuple[Array, Array | None]:
+        """Return the slopes of ẋ and y, (n + p,n + q2), and those by uncertain parameters, None without such."""
+        layout, eq = self.layout, self.equations
+        n, q, p = layout.n, layout.q, len(eq.outputs)
+        x, d = xi[:n].tolist(), xi[layout.disturbance].tolist() or [0.0] * q
+        parameters = self.with_parameters(xi)
+        both = np.array(eq.linearisation(x, u, d, parameters)).reshape(n + p, n + q)
+        if not layout.uncertain:
+            return both, None
+        sensitivity = np.array(eq.sensitivity(x, u, d, parameters)).reshape(n + p, -1)
+        return both, sensitivity[:, list(layout.uncertain)]
+
+    @cached_property
+    def _offsets(self) -> Array:
+        """The part (p,N) of C that is the same everywhere: offsets of sensors."""
+        C = np.zeros((len(self.equations.outputs), self.layout.size))
+        for place, output in enumerate(self.layout.biased):
+            C[output, self.layout.biases.start + place] = 1.0
+        return C
+
+    def predicted_output(self, xi: Array, u: Vector) -> list[float]:
         """Return ŷ (p,) at ξ̂, offsets included."""
         layout = self.layout
-        y = np.array(self.equations.output(xi[: layout.n].tolist(), u, self.with_parameters(xi)), dtype=float)
+        y = list(self.equations.output(xi[: layout.n].tolist(), u, self.with_parameters(xi)))
         for place, output in enumerate(layout.biased):
-            y[output] += xi[layout.biases.start + place]
+            y[output] += float(xi[layout.biases.start + place])
         return y

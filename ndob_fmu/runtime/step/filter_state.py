@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from math import inf, isfinite
+
+import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.generated_steps import Numbers
+from ndob_fmu.runtime.step.error_columns import ErrorColumns
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)  # never changed once made; frozen=True would make that cost a hundredth of a step
 class JumpBank:
     """Hypotheses that a disturbance jumped in one of the last steps: at its sample, and inside the step.
 
-    signatures (N + past,6 L q2): what jumps of one at up to three instants have added to the error of ξ̂ until now.
-    evidence (2 L q2,3), precision (2 L q2,3,3): of their sizes, from the innovations since: Σ ρ e/α and Σ ρ ρᵀ/α.
-    misfit (2 L q2,2): sum of e²/α since then, and the number of these innovations.
-    log_weight (2 L q2,): logarithm of the weight without that evidence, over that of no jump; −∞ for an empty place.
+    What jumps of one have added to the error of ξ̂ until now is in `ErrorColumns`.
+
+    size (2 L q2,3): the sizes of the jumps, as the innovations since tell them.
+    root (2 L q2,3,3): factor of the covariance of these sizes.
+    misfit (2 L q2,3): sums of squared innovations since, over their variances, without and with the hypothesis, and
+        their number.
+    log_weight (2 L q2,): logarithm of the weight over that of no jump but for the misfit; −∞ for an empty place.
     newest_age: time since the last hypotheses were added (s).
     since_jump: samples since a jump was certain, counted up to a limit.
     """
 
-    signatures: Array
-    evidence: Array
-    precision: Array
+    size: Array
+    root: Array
     misfit: Array
     log_weight: Array
     newest_age: float
     since_jump: int
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)  # as above
 class SensorMemory:
-    """What is remembered of each output's samples, (p,).
+    """What is remembered of one output's samples.
 
     noise_ratio: the variance of the noise over the one that was told.
     counted: samples behind `noise_ratio`.
@@ -46,42 +52,41 @@ class SensorMemory:
     interval: the longest usual time between two samples that are used (s).
     """
 
-    noise_ratio: Array
-    counted: Array
-    repeat_rate: Array
-    resolution: Array
-    alike: Array
-    refused: Array
-    debt: Array
-    skipped: Array
-    drift: Array
-    mean: Array
-    waited: Array
-    interval: Array
+    noise_ratio: float = 1.0
+    counted: float = 0.0
+    repeat_rate: float = 0.0
+    resolution: float = inf
+    alike: float = 0.0
+    refused: bool = False
+    debt: float = 0.0
+    skipped: float = 0.0
+    drift: float = 0.0
+    mean: float = 0.0
+    waited: float = 0.0
+    interval: float = 0.0
 
 
 @dataclass(frozen=True)
 class LagMemory:
-    """Disturbances of the past, smoothed by the samples since: (K q2,) of K instants; empty without a lag.
+    """Disturbances of the past, smoothed by the samples since, K instants; empty without a lag.
 
     age (K,): how long ago each was (s); −1 for an empty place.
     value, variance (K q2,): the smoothed disturbance and its variance.
-    covariance (N + past,K q2): its covariance with the error of ξ̂.
     """
 
     age: Array
     value: Array
     variance: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
 class FilterMemory:
     """How well ξ̂⁻ is known, and all that decides about the next sample.
 
-    factor (N + past,N + past): of the covariance of ξ̂⁻ and of what delayed sensors measured.
+    columns: factor (N + past,N + past) of the covariance of ξ̂⁻ and of what delayed sensors measured, and what goes
+        with it.
     past (past,): estimates of what delayed sensors measured; past_age (K,): how long ago (s), −1 for an empty place.
-    jumps, sensors, lagged: as above.
+    jumps, lagged: as above; sensors (p,): of each output.
     age: samples since the start, counted until the start-up is over.
     lost: whether the estimate was given up and has not converged again.
     converged: whether the gain is frozen.
@@ -89,11 +94,11 @@ class FilterMemory:
     step, steady: the last step (s), and how many steps in a row had its length, counted until the start is over.
     """
 
-    factor: Array
+    columns: ErrorColumns
     past: Array
     past_age: Array
     jumps: JumpBank
-    sensors: SensorMemory
+    sensors: tuple[SensorMemory, ...]
     lagged: LagMemory
     age: int
     lost: bool
@@ -124,3 +129,42 @@ class SampledObserverState:
     sample: Numbers
     squares: Numbers
     memory: FilterMemory
+
+
+def is_possible(memory: FilterMemory) -> bool:
+    """Return whether numbers in the form of a memory can be one."""
+    columns, jumps, lagged = memory.columns, memory.jumps, memory.lagged
+    arrays = (
+        columns.values,
+        memory.past,
+        memory.past_age,
+        jumps.size,
+        jumps.root,
+        jumps.misfit,
+        lagged.age,
+        lagged.value,
+    )
+    return bool(
+        all(np.all(np.isfinite(array)) for array in (*arrays, lagged.variance))
+        and np.all(lagged.variance >= 0.0)
+        and np.all(jumps.misfit >= 0.0)
+        and not np.any(np.isnan(jumps.log_weight))
+        and not np.any(jumps.log_weight == np.inf)
+        and jumps.newest_age >= 0.0
+        and all(map(_is_possible_sensor, memory.sensors))
+        and memory.tuned_at >= 0.0
+        and memory.step >= 0.0
+        and memory.age >= 0
+        and memory.steady >= 0
+    )
+
+
+def _is_possible_sensor(sensor: SensorMemory) -> bool:
+    numbers = (getattr(sensor, field.name) for field in fields(sensor) if field.name != "resolution")
+    not_negative = (sensor.noise_ratio, sensor.counted, sensor.alike, sensor.debt, sensor.waited, sensor.interval)
+    return (
+        all(map(isfinite, numbers))
+        and min(not_negative) >= 0.0
+        and sensor.resolution > 0.0
+        and 0.0 <= sensor.repeat_rate <= 1.0
+    )

@@ -8,8 +8,6 @@ innovation e and its variance α gives
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
@@ -19,42 +17,46 @@ from ndob_fmu.runtime.step.filter_state import LagMemory
 _KEPT = 64
 
 
-def empty_lag(rows: int, q: int, lag: float) -> LagMemory:
+def kept(lag: float) -> int:
+    """Return how many instants of the past are kept for a lag (s)."""
+    return _KEPT + 1 if lag > 0.0 else 0
+
+
+def empty_lag(q: int, lag: float) -> LagMemory:
     """Return the memory before the first sample."""
-    kept = _KEPT + 1 if lag > 0.0 else 0
-    return LagMemory(np.full(kept, -1.0), np.zeros(kept * q), np.zeros(kept * q), np.zeros((rows, kept * q)))
+    count = kept(lag)
+    return LagMemory(np.full(count, -1.0), np.zeros(count * q), np.zeros(count * q))
 
 
-def smoothed(lagged: LagMemory, row: Array, K: Array, innovation: float, alpha: float) -> LagMemory:
-    """Return the memory after a sample with the row h (rows,), the gain K (rows,) and an innovation of variance α."""
+def smoothed(lagged: LagMemory, seen: Array, innovation: float, alpha: float) -> LagMemory:
+    """Return the memory after an innovation of variance α, whose row sees vᵀh (K q2,) of the past."""
     if not lagged.age.size:
         return lagged
-    seen = row @ lagged.covariance
-    return replace(
-        lagged,
-        value=lagged.value + seen * (innovation / alpha),
-        variance=np.maximum(lagged.variance - seen**2 / alpha, 0.0),
-        covariance=lagged.covariance - K[:, None] * seen,
+    return LagMemory(
+        lagged.age, lagged.value + seen * (innovation / alpha), np.maximum(lagged.variance - seen**2 / alpha, 0.0)
     )
 
 
-def remembered(lagged: LagMemory, d_hat: Array, rows_of_d: Array, factor: Array, lag: float) -> LagMemory:
-    """Return the memory with the disturbance d̂ (q2,) at this sample, if it is far enough from the last one kept.
+def is_due(lagged: LagMemory, lag: float) -> bool:
+    """Return whether the last disturbance that is kept is so old that the one at this sample is kept too."""
+    return not 0.0 <= lagged.age[-1] < (1.0 - 1e-9) * lag / _KEPT
 
-    rows_of_d (q2,·): its rows of the factor (rows,·) of the covariance.
-    """
-    if not lagged.age.size:
-        return lagged
-    newest = lagged.age[-1]
-    if 0.0 <= newest < (1.0 - 1e-9) * lag / _KEPT:
-        return lagged
+
+def remembered(lagged: LagMemory, d_hat: Array, variance: Array) -> LagMemory:
+    """Return the memory with the disturbance d̂ (q2,) at this sample and its variance (q2,)."""
     q = len(d_hat)
     return LagMemory(
         age=np.append(lagged.age[1:], 0.0),
         value=np.append(lagged.value[q:], d_hat),
-        variance=np.append(lagged.variance[q:], np.sum(rows_of_d**2, axis=1)),
-        covariance=np.hstack([lagged.covariance[:, q:], factor @ rows_of_d.T]),
+        variance=np.append(lagged.variance[q:], variance),
     )
+
+
+def later(lagged: LagMemory, H: float) -> LagMemory:
+    """Return the memory H s later."""
+    if not lagged.age.size:
+        return lagged
+    return LagMemory(np.where(lagged.age >= 0.0, lagged.age + H, -1.0), lagged.value, lagged.variance)
 
 
 def at_lag(lagged: LagMemory, lag: float, q: int) -> tuple[Array, Array]:

@@ -20,8 +20,9 @@ from ndob_fmu.runtime.step.filter_state import SampledObserverState
 from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
+from ndob_fmu.runtime.step.sensor_memory import at_end_of_step, is_in_time
 from ndob_fmu.runtime.step.time_update import predict_mean
-from ndob_fmu.runtime.step.tracking_step import at_end_of_step, consistency, is_in_time
+from ndob_fmu.runtime.step.tracking_step import consistency
 
 
 def step_of_order_zero(
@@ -35,9 +36,9 @@ def step_of_order_zero(
     xi = np.array(layout.unpacked(state.xi_hat))
     measured, memory = measured_or_reconsidered(model, xi, state, y)
     d_hat, d_std = np.array(state.d_hat), np.array(state.d_std)
-    whole = bool(np.all(measured.used))
+    whole = all(measured.used)
     if whole:
-        d_hat = _read(model, memory.factor, measured.innovation, design)
+        d_hat = _read(model, memory.columns.factor, np.array(measured.prediction.innovation), design)
         d_std = design.disturbance_std
     else:
         # What d may do meanwhile counts like the bias of `tuning.steady_std`.
@@ -49,20 +50,20 @@ def step_of_order_zero(
     if discrete.H != H:
         discrete = discretise(stationary.system, H, stationary.alpha)
         noise = scaled_noise(discrete, stationary.intensities)
-    factor = triangular(np.hstack([discrete.filter_phi @ measured.factor, noise]))
-    sensors = at_end_of_step(measured.sensors, H)
+    factor = triangular(np.hstack([discrete.filter_phi @ measured.columns.factor, noise]))
+    sensors = tuple(at_end_of_step(sensor, H) for sensor in measured.sensors)
     lost = memory.lost and memory.age < model.start_samples
     result = SampledObserverState(
         xi_hat=layout.packed(after),
         d_hat=numbers(d_hat),
         d_std=numbers(d_std),
         u=state.u,
-        innovation=numbers(measured.innovation),
+        innovation=tuple(measured.prediction.innovation),
         sample=measured.sample,
         squares=measured.squares,
         memory=replace(
             memory,
-            factor=factor,
+            columns=memory.columns.with_factor(factor),
             sensors=sensors,
             age=min(memory.age + 1, model.start_samples),
             lost=lost,
@@ -82,7 +83,7 @@ def step_of_order_zero(
             d_lagged=result.d_hat,
             d_lagged_std=result.d_std,
             residual=result.innovation,
-            residual_std=numbers(measured.innovation_std),
+            residual_std=tuple(measured.prediction.std),
             valid=is_in_time(sensors) and not lost,
             consistency=consistency(result.squares),
         ),

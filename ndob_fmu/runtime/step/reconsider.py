@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
+from ndob_fmu.runtime.step.error_columns import joined
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.jump_bank import empty_bank
-from ndob_fmu.runtime.step.measurement_update import Measured, measure, output_rows
+from ndob_fmu.runtime.step.measurement_update import Measured, measure
+from ndob_fmu.runtime.step.prediction import output_rows, spread
 from ndob_fmu.runtime.step.start_memory import start_factor
 
 # After refused samples of this improbability, in nats, the estimate is wrong, not the samples: where all are on one
@@ -38,65 +41,58 @@ def measured_or_reconsidered(
     return measured, memory
 
 
-def is_hopeless(sensors: SensorMemory) -> bool:
+def is_hopeless(sensors: Sequence[SensorMemory]) -> bool:
     """Return whether so many samples were refused, or all on one side, that what the observer knows must be wrong."""
-    return bool(np.any(_refuted(sensors) | (np.abs(sensors.mean) > _WRONG)))
+    return any(abs(sensor.mean) > _WRONG or _is_refuted(sensors, i) for i, sensor in enumerate(sensors))
 
 
-def _refuted(sensors: SensorMemory) -> NDArray[np.bool_]:
-    """Return for which outputs (p,) too many samples were refused.
+def _is_refuted(sensors: Sequence[SensorMemory], i: int) -> bool:
+    """Return whether too many samples of an output were refused.
 
     While other samples agree with the estimate, refused ones of one sign are more likely wrong themselves.
     """
-    agreed = np.array(
-        [len(sensors.refused) > 1 and not np.all(np.delete(sensors.refused, i)) for i in range(len(sensors.refused))]
-    )
-    limit = np.where(_of_one_sign(sensors), np.where(agreed, _PATIENCE * _HOPELESS, _HOPELESS), _NOISY)
-    return np.asarray(sensors.debt > limit)
+    sensor = sensors[i]
+    if not _of_one_sign(sensor):
+        return sensor.debt > _NOISY
+    agreed = any(not other.refused for j, other in enumerate(sensors) if j != i)
+    return sensor.debt > (_PATIENCE * _HOPELESS if agreed else _HOPELESS)
 
 
-def _of_one_sign(sensors: SensorMemory) -> NDArray[np.bool_]:
-    return np.asarray(sensors.drift**2 > _ONE_SIGN * sensors.skipped)
+def _of_one_sign(sensor: SensorMemory) -> bool:
+    return sensor.drift**2 > _ONE_SIGN * sensor.skipped
 
 
-def reconsidered(model: FilterModel, xi: Array, memory: FilterMemory, sensors: SensorMemory, u: Vector) -> FilterMemory:
+def reconsidered(
+    model: FilterModel, xi: Array, memory: FilterMemory, sensors: Sequence[SensorMemory], u: Vector
+) -> FilterMemory:
     """Return the memory before a sample, once so many samples were refused that what it says must be wrong.
 
     Refused innovations of both signs mean that the noise is larger than was told, those of one sign that the estimate
     is worse than its covariance says. Either is enlarged until these innovations are twice their standard deviation.
     """
-    biased = np.abs(sensors.mean) > _WRONG
-    refused = _refuted(sensors)
-    hopeless = refused | biased
-    one_sign = biased | _of_one_sign(sensors)
-    ratios = np.array(model.noise_ratios(sensors.noise_ratio))
-    noise = model.noise_variance * ratios
-    larger = hopeless & ~one_sign if model.adapts else np.zeros(len(noise), dtype=bool)
-    ratio = np.where(
-        larger, np.maximum(sensors.noise_ratio, 0.25 * sensors.skipped / model.noise_variance), sensors.noise_ratio
-    )
-    grown = float(np.max(np.where(larger, ratio / ratios, 1.0)))
-    growth = min(grown, _LEAST_GROWTH)
+    ratios, used = model.noise_ratios(sensors), model.noise_used(sensors)
     rows = output_rows(model, xi, memory, u)
-    for i in np.flatnonzero(hopeless & ~larger):
-        row = rows[i]
-        spread = 0.0 if row is None else float(np.sum((row @ memory.factor) ** 2))
-        if spread > 0.0:
-            square = sensors.skipped[i] if refused[i] else sensors.mean[i] ** 2 * (spread + noise[i])
-            growth = max(growth, float(0.25 * square - noise[i]) / spread, _LEAST_GROWTH)
-    growth = float(np.sqrt(growth))
+    after, grown, growth = [], 1.0, 0.0
+    for i, (sensor, before) in enumerate(zip(sensors, memory.sensors, strict=True)):
+        biased, refuted = abs(sensor.mean) > _WRONG, _is_refuted(sensors, i)
+        ratio, counted = sensor.noise_ratio, sensor.counted
+        if model.adapts and refuted and not (biased or _of_one_sign(sensor)):
+            ratio, counted = max(ratio, 0.25 * sensor.skipped / float(model.noise_variance[i])), 0.0
+            grown = max(grown, ratio / ratios[i])
+        elif biased or refuted:
+            own = spread(rows[i], memory.columns.factor)
+            square = sensor.skipped if refuted else sensor.mean**2 * (own + used[i])
+            if own > 0.0:
+                growth = max(growth, (0.25 * square - used[i]) / own, _LEAST_GROWTH)
+        after.append(replace(before, noise_ratio=ratio, counted=counted, debt=0.0, refused=False, mean=0.0))
+    growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
+    factor = start_factor(model) if growth > _LOST else memory.columns.factor * growth
+    columns = memory.columns
     return replace(
         memory,
-        factor=start_factor(model) if growth > _LOST else memory.factor * growth,
-        sensors=replace(
-            memory.sensors,
-            noise_ratio=ratio,
-            counted=np.where(larger, 0.0, sensors.counted),
-            debt=np.zeros_like(ratio),
-            refused=np.zeros(len(ratio), dtype=bool),
-            mean=np.zeros_like(ratio),
-        ),
-        jumps=empty_bank(model.rows, model.layout.q),
+        columns=joined(factor, np.zeros_like(columns.signatures), columns.covariance),
+        sensors=tuple(after),
+        jumps=empty_bank(model.bound),
         lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
         age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,
     )

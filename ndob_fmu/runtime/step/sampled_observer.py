@@ -35,14 +35,16 @@ from ndob_fmu.runtime.step.converged_step import (
     converged_step,
     frozen_memory,
     has_converged,
+    is_quiet,
     squares_are_usual,
 )
 from ndob_fmu.runtime.step.filter_model import FilterModel
-from ndob_fmu.runtime.step.filter_state import SampledObserverState
+from ndob_fmu.runtime.step.filter_state import SampledObserverState, is_possible
 from ndob_fmu.runtime.step.layout import Layout
-from ndob_fmu.runtime.step.measurement_update import Measured, predicted_sample
+from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.order_zero import step_of_order_zero
+from ndob_fmu.runtime.step.prediction import predicted_before_a_step
 from ndob_fmu.runtime.step.settings import ObserverSettings, check_settings
 from ndob_fmu.runtime.step.start_memory import start_memory
 from ndob_fmu.runtime.step.tracking_step import consistency, step_with_covariance
@@ -137,50 +139,25 @@ class SampledObserver:
 
     def possible(self, state: SampledObserverState, elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
-        memory, sensors = state.memory, state.memory.sensors
-        values = np.array([*state.xi_hat, *state.d_hat, *state.d_std, *state.u, *state.innovation, *state.squares])
-        arrays = (
-            *(memory.factor, memory.past, memory.past_age),
-            *(memory.jumps.signatures, memory.jumps.evidence, memory.jumps.precision, memory.jumps.misfit),
-            *(sensors.noise_ratio, sensors.counted, sensors.repeat_rate, sensors.alike, sensors.debt, sensors.skipped),
-            *(sensors.drift, sensors.mean, sensors.waited, sensors.interval),
-            *(memory.lagged.age, memory.lagged.value, memory.lagged.variance, memory.lagged.covariance),
-        )
-        if not (np.all(np.isfinite(values)) and all(np.all(np.isfinite(array)) for array in arrays)):
-            return False
-        layout = self.layout
+        memory, layout = state.memory, self.layout
+        values = (*state.xi_hat, *state.d_hat, *state.d_std, *state.u, *state.innovation, *state.squares)
         beyond = state.xi_hat[layout.series.stop : layout.n + HIGHEST_ORDER * layout.q]
         return bool(
-            not any(beyond)
+            np.all(np.isfinite(values))
+            and not any(beyond)
             and min(state.d_std) >= 0.0
             and min(state.squares) >= 0.0
             and not np.any(np.isinf(state.sample))
-            and np.all(sensors.noise_ratio >= 0.0)
-            and np.all(sensors.counted >= 0.0)
-            and np.all((sensors.repeat_rate >= 0.0) & (sensors.repeat_rate <= 1.0))
-            and np.all(sensors.resolution > 0.0)
-            and np.all(sensors.alike >= 0.0)
-            and np.all(sensors.debt >= 0.0)
-            and np.all(sensors.waited >= 0.0)
-            and np.all(sensors.interval >= 0.0)
-            and np.all(memory.lagged.variance >= 0.0)
-            and not np.any(np.isnan(memory.jumps.log_weight))
-            and not np.any(memory.jumps.log_weight == np.inf)
-            and memory.jumps.newest_age >= 0.0
-            and np.all(memory.jumps.misfit >= 0.0)
-            and np.all(np.diagonal(memory.jumps.precision, axis1=1, axis2=2) >= 0.0)
-            and memory.tuned_at >= 0.0
-            and memory.step >= 0.0
-            and memory.age >= 0
-            and memory.steady >= 0
+            and is_possible(memory)
         )
 
     def estimate(self, state: SampledObserverState, y: Vector) -> Estimate:
         """Return what is known when a sample y (p,) has come but no step has been taken from it."""
         try:
-            innovation, std = predicted_sample(self._model(1.0, 0.0), state, y)
+            prediction = predicted_before_a_step(self._model(1.0, 0.0), state, y)
+            innovation, std = tuple(prediction.innovation), tuple(prediction.std)
         except (ArithmeticError, ValueError):  # the first step says that the equations cannot be evaluated
-            innovation, std = np.zeros(len(y)), self.noise_std
+            innovation, std = (0.0,) * len(y), numbers(self.noise_std)
         x_hat = state.xi_hat[: self.layout.n]
         return Estimate(
             x_hat=x_hat,
@@ -190,8 +167,8 @@ class SampledObserver:
             d_std=state.d_std,
             d_lagged=state.d_hat,
             d_lagged_std=state.d_std,
-            residual=numbers(innovation),
-            residual_std=numbers(std),
+            residual=innovation,
+            residual_std=std,
             valid=bool(np.any(np.isfinite(y))),
             consistency=consistency(state.squares),
         )
@@ -302,7 +279,7 @@ class SampledObserver:
     ) -> tuple[SampledObserverState, Estimate, Measured]:
         memory = state.memory
         if self.layout.order:
-            noise = float(np.exp(np.mean(np.log(tuned.model.noise_ratios(memory.sensors.noise_ratio)))))
+            noise = float(np.exp(np.mean(np.log(tuned.model.noise_ratios(memory.sensors)))))
             return step_with_covariance(tuned.model, state, sample, H, tuned.intensity(H, noise))
         return step_of_order_zero(tuned.model, state, sample, H, self.designs.at(tuned.H, tuned.H))
 
@@ -355,14 +332,14 @@ class SampledObserver:
         """Return the state with a frozen gain, where that is as good from now on."""
         memory = after.memory
         started = memory.age >= tuned.model.start_samples and memory.steady >= tuned.model.start_samples
-        adapted = any(ratio != 1.0 for ratio in tuned.model.noise_ratios(memory.sensors.noise_ratio))
-        if not (tuned.freezes and started) or adapted or memory.lost:
+        adapted = any(ratio != 1.0 for ratio in tuned.model.noise_ratios(memory.sensors))
+        if not (tuned.freezes and started and is_quiet(measured)) or adapted or memory.lost:
             return after
         try:
             design = self.designs.at(H, memory.tuned_at)
         except DesignError:
             return after
-        if not has_converged(tuned.model, memory, measured, after.squares, design):
+        if not has_converged(tuned.model, memory, design):
             return after
         return replace(after, memory=frozen_memory(tuned.model, memory, design))
 
@@ -437,7 +414,6 @@ def sampled_observer(
             x_std=std,
             alpha=settings.alpha,
             pi=settings.pi,
-            f_states=equations.f_states,
         ),
         tracking=StepDesigns(
             system=augment(tangent, order),
@@ -445,7 +421,6 @@ def sampled_observer(
             x_std=std,
             alpha=settings.alpha,
             pi=settings.pi,
-            f_states=(),
         ),
         longest=longest_step(equations, linear),
     )

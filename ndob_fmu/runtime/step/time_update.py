@@ -8,18 +8,20 @@ noise: the second moment of the quadratic terms.
 
 from __future__ import annotations
 
-from math import factorial
+from math import factorial, isfinite
+from typing import NamedTuple
 
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
-from ndob_fmu.runtime.generated_steps import ConvergedGain
 from ndob_fmu.runtime.numerics.kalman import triangular
 from ndob_fmu.runtime.numerics.stiff import integrate_any
-from ndob_fmu.runtime.numerics.transition import sampled
+from ndob_fmu.runtime.numerics.transition import Transition, transition
+from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS
 from ndob_fmu.runtime.step.layout import Layout
 
 # E (z²/2)² = 3/4 for a normal number z.
@@ -31,59 +33,64 @@ _STRAIGHT = 0.2
 _MOST_PARTS = 8
 
 
-def predict(
-    model: FilterModel, xi: Array, factor: Array, u: Vector, H: float, intensity: Array, *, starting: bool
-) -> tuple[Array, Array, Array, Array]:
-    """Return ξ̂⁻ (N + past,), the factor (N + past,N + past) and Φ (N,N) a step H (s) later.
+class Predicted(NamedTuple):
+    """The end of a step.
 
-    The fourth result (N + past,4 q2) are the responses there to jumps of d within the step.
+    xi (N + past,): ξ̂⁻
+    columns: as in `FilterMemory`, with a factor (N + past,N + past)
+    Phi (N,N): of the step
+    jumps (4,N,q2): the responses there to jumps of d within the step
+    """
+
+    xi: Array
+    columns: ErrorColumns
+    Phi: Array
+    jumps: Array
+
+
+def predict(
+    model: FilterModel, xi: Array, columns: ErrorColumns, u: Vector, H: float, intensity: Array, *, starting: bool
+) -> Predicted:
+    """Return the end of a step H (s) that begins with ξ̂ (N + past,).
 
     intensity (q2,): of the noise behind the r-th derivative of d
     starting: whether ξ̂ may be far off
+
+    Raises IntegrationError where ξ̂ leaves the finite numbers.
     """
-    channel = _noise_channel(model, intensity, H)
+    channel = model.noise_directions * model.noise_sizes(intensity, H)
     end = predict_mean(model, xi, u, H)
-    F, F_end = model.slopes(xi, u).F, model.slopes(end, u).F
-    change = float(np.max(np.sum(np.abs(F_end - F), axis=0))) * H
-    if not change <= _STRAIGHT:
-        parts = int(min(np.ceil(change / _STRAIGHT), _MOST_PARTS)) if np.isfinite(change) else _MOST_PARTS
-        whole, jumps = np.eye(len(F)), model.jumps_in_step(0.5 * (F + F_end), H)
-        for _ in range(parts):
-            end = predict_mean(model, xi, u, H / parts)
-            F_end = model.slopes(end, u).F
-            Phi, factor = _predict_factor(
-                model, xi, factor, u, H / parts, channel, 0.5 * (F + F_end), starting=starting
-            )
-            whole, xi, F = Phi @ whole, end, F_end
-        return end, factor, whole, jumps
-    Phi, factor = _predict_factor(model, xi, factor, u, H, channel, 0.5 * (F + F_end), starting=starting)
-    return end, factor, Phi, model.jumps_in_step(0.5 * (F + F_end), H)
+    F, F_end = model.rates(xi, u), model.rates(end, u)
+    mean = 0.5 * (F + F_end)
+    change = float(np.abs(F_end - F).sum(axis=0).max()) * H
+    if change <= _STRAIGHT:
+        done = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS)
+        columns = _moved(model, xi, columns, u, H, done, starting=starting)
+        return Predicted(end, columns, done.Phi, done.responses)
+    parts = int(min(np.ceil(change / _STRAIGHT), _MOST_PARTS)) if isfinite(change) else _MOST_PARTS
+    jumps, whole = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS).responses, np.eye(len(F))
+    for _ in range(parts):
+        end = predict_mean(model, xi, u, H / parts)
+        F_end = model.rates(end, u)
+        done = transition(0.5 * (F + F_end), channel, H / parts, model.jump_channel, ())
+        columns = _moved(model, xi, columns, u, H / parts, done, starting=starting)
+        whole, xi, F = done.Phi @ whole, end, F_end
+    return Predicted(end, columns, whole, jumps)
 
 
-def _predict_factor(
-    model: FilterModel, xi: Array, factor: Array, u: Vector, H: float, channel: Array, F: Array, *, starting: bool
-) -> tuple[Array, Array]:
-    N = model.layout.size
-    Phi, noise = sampled(F, channel, H)
+def _moved(
+    model: FilterModel, xi: Array, columns: ErrorColumns, u: Vector, H: float, done: Transition, *, starting: bool
+) -> ErrorColumns:
+    """Return the columns a part H (s) of a step later."""
+    N, count, noise = model.layout.size, columns.factor_count, done.noise
     if starting:
-        noise = np.hstack([noise, left_out(model, xi, factor, u, H)])
-    columns = factor.shape[1]
-    whole = np.zeros((model.rows, columns + noise.shape[1] + model.rows))
-    whole[:, :columns] = factor
-    whole[:N, :columns] = Phi @ factor[:N]
-    whole[:N, columns : columns + noise.shape[1]] = noise
-    return Phi, triangular(whole)
-
-
-def _noise_channel(model: FilterModel, intensity: Array, H: float) -> Array:
-    """Return the channel (N,·) of white noise of intensity one."""
-    layout = model.layout
-    columns = [layout.last_derivative * np.sqrt(intensity)]
-    of_states = np.sqrt(np.array(model.settings.state_noise) ** 2 + model.undriven * H)
-    noisy = np.flatnonzero(of_states)
-    if len(noisy):
-        columns.append(np.eye(layout.size)[:, noisy] * of_states[noisy])
-    return np.hstack(columns)
+        noise = np.concatenate([noise, left_out(model, xi, columns.factor, u, H)], axis=1)
+    values = columns.values.copy()
+    values[:N] = done.Phi @ columns.values[:N]
+    whole = np.zeros((model.rows, count + noise.shape[1]))
+    whole[:, :count] = values[:, :count]
+    whole[:N, count:] = noise
+    return columns.with_values(values).with_factor(triangular(whole))
 
 
 def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array | None = None) -> Array:
@@ -91,17 +98,20 @@ def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array
 
     Raises IntegrationError where it leaves the finite numbers."""
     layout, eq = model.layout, model.equations
-    after = xi.copy()
+    after: Array = xi.copy()
     parameters = model.with_parameters(xi)
     packed = layout.packed(xi[: layout.size])
     if held is not None:
         packed = (*packed[: layout.n], *held.tolist(), *packed[layout.n + layout.q :])
-    done = None
     try:
-        constants = eq.steps.observer_constants(parameters)
-        nothing = (0.0,) * len(eq.outputs)
+        constants = model.step_constants(parameters)
         done = eq.steps.observer_step(
-            packed[: layout.n + HIGHEST_ORDER * layout.q], (*u, *nothing), nothing, constants, _no_gain(model), H
+            packed[: layout.n + HIGHEST_ORDER * layout.q],
+            (*u, *model.no_sample),
+            model.no_sample,
+            constants,
+            model.no_gain,
+            H,
         )
     except (ArithmeticError, ValueError):
         done = None
@@ -109,9 +119,9 @@ def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array
         after[: layout.series.stop] = done.xi_hat[: layout.series.stop]
     else:
         after[: layout.series.stop] = predict_plant(eq, layout, parameters, xi, u, H, held)
-    if not np.all(np.isfinite(after)):
+    if not np.isfinite(after).all():
         raise IntegrationError("the observer's estimate leaves the finite numbers")
-    return np.asarray(after)
+    return after
 
 
 def left_out(model: FilterModel, xi: Array, factor: Array, u: Vector, H: float) -> Array:
@@ -147,26 +157,6 @@ def left_out(model: FilterModel, xi: Array, factor: Array, u: Vector, H: float) 
 def _signs(k: int, size: int) -> Array:
     """Return row k of Walsh's orthogonal signs (size,)."""
     return np.array([-1.0 if (i & k).bit_count() % 2 else 1.0 for i in range(size)])
-
-
-def ahead(model: FilterModel, Phi: Array, columns: Array) -> Array:
-    """Return columns (N + past,·) of errors a step later."""
-    N = model.layout.size
-    after = columns.copy()
-    after[:N] = Phi @ columns[:N]
-    return np.asarray(after)
-
-
-def _no_gain(model: FilterModel) -> ConvergedGain:
-    p, n, q = len(model.equations.outputs), model.layout.n, model.layout.q
-    return ConvergedGain(
-        gate=(np.inf,) * p,
-        weight=(0.0,) * p,
-        d_std=(0.0,) * q,
-        at_sample_std=(0.0,) * q,
-        residual_std=(0.0,) * p,
-        K=(0.0,) * ((n + HIGHEST_ORDER * q) * p),
-    )
 
 
 def predict_plant(

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.delayed_outputs import is_kept
+from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
-from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
-from ndob_fmu.runtime.step.fixed_lag import at_lag, remembered
-from ndob_fmu.runtime.step.jump_bank import with_newest
+from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState
+from ndob_fmu.runtime.step.fixed_lag import at_lag, is_due, later, remembered
+from ndob_fmu.runtime.step.jump_bank import later_bank, with_newest
 from ndob_fmu.runtime.step.measurement_update import Measured, bounded
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
-from ndob_fmu.runtime.step.time_update import ahead, predict
-
-LATE = 1.5  # the estimate counts as valid for so many of the usual intervals between samples
+from ndob_fmu.runtime.step.sensor_memory import at_end_of_step, is_in_time
+from ndob_fmu.runtime.step.time_update import predict
 
 
 def step_with_covariance(
@@ -31,56 +29,58 @@ def step_with_covariance(
     Raises IntegrationError where the estimate leaves the finite numbers.
     """
     layout, u = model.layout, state.u
+    n, N, d = layout.n, layout.size, layout.disturbance
     xi = np.concatenate([layout.unpacked(state.xi_hat), state.memory.past])
     measured, memory = measured_or_reconsidered(model, xi, state, y)
-    xi, factor = bounded(model, measured.xi, measured.factor)
+    xi, columns = bounded(model, measured.xi, measured.columns)
 
-    d = layout.disturbance
-    spread = measured.mixture.variance
-    at_sample = xi + measured.mixture.shift
-    at_sample_std = np.minimum(np.sqrt(np.sum(factor[d] ** 2, axis=1) + spread[d]), model.bound)
-    lagged = remembered(measured.lagged, at_sample[d], factor[d], factor, model.settings.lag)
-    d_lagged, d_lagged_std = at_sample[d], at_sample_std
+    added = measured.mixture
+    at_sample, at_sample_std = xi, _std_of_disturbance(model, columns, added.variance)
+    if added.shift is not None:
+        at_sample = xi + added.shift
+    lagged, d_lagged, d_lagged_std = measured.lagged, at_sample[d], at_sample_std
     if model.settings.lag > 0.0:
+        if is_due(lagged, model.settings.lag):
+            lagged = remembered(lagged, at_sample[d], (columns.factor[d] ** 2).sum(axis=1))
+            columns = columns.with_past(d)
         d_lagged, d_lagged_std = at_lag(lagged, model.settings.lag, layout.q)
         d_lagged_std = np.minimum(d_lagged_std, model.bound)
-
-    jumps = measured.jumps
     past_age = memory.past_age
     if model.delayed:
-        xi, factor, jumps, lagged, past_age = _with_this_sample(model, xi, factor, jumps, lagged, past_age, u, H)
-    starting = memory.age < model.start_samples
-    after, factor, Phi, newest = predict(model, xi, factor, u, H, intensity, starting=starting)
-    published = after + ahead(model, Phi, measured.mixture.shift[:, None])[:, 0]
-    spread_after = (Phi**2) @ spread[: layout.size]
-    d_std = np.minimum(np.sqrt(np.sum(factor[d] ** 2, axis=1) + spread_after[d]), model.bound)
+        xi, columns, past_age = _with_this_sample(model, xi, columns, past_age, u, H)
 
-    jumps = replace(jumps, signatures=ahead(model, Phi, jumps.signatures), newest_age=min(jumps.newest_age + H, _LONG))
-    if memory.age >= layout.size:
-        jumps = with_newest(jumps, newest, model.jump_spacing)
-    sensors = at_end_of_step(measured.sensors, H)
-    lost = memory.lost and memory.age < model.start_samples
-    valid = is_in_time(sensors) and not lost
-    N = layout.size
+    starting = memory.age < model.start_samples
+    end = predict(model, xi, columns, u, H, intensity, starting=starting)
+    published, variance = end.xi, None
+    if added.shift is not None and added.variance is not None:
+        published = published.copy()
+        published[:N] += end.Phi @ added.shift[:N]
+        variance = (end.Phi**2) @ added.variance[:N]
+    d_std = _std_of_disturbance(model, end.columns, variance)
+
+    columns, jumps = end.columns, later_bank(measured.jumps, H)
+    # Where the last hypotheses are nearer than the spacing, a jump between cannot be told from them.
+    if memory.age >= N and jumps.newest_age >= model.jump_spacing * (1.0 - 1e-9):
+        newest = model.signatures_in_step(end.jumps)
+        signatures = np.concatenate([columns.signatures[:, newest.shape[1] :], newest], axis=1)
+        columns, jumps = columns.with_signatures(signatures), with_newest(jumps, model.jump_root)
+    sensors = tuple(at_end_of_step(sensor, H) for sensor in measured.sensors)
+    lost = memory.lost and starting
     result = SampledObserverState(
-        xi_hat=layout.packed(after[:N]),
+        xi_hat=layout.packed(end.xi[:N]),
         d_hat=numbers(published[d]),
         d_std=numbers(d_std),
         u=u,
-        innovation=numbers(measured.innovation),
+        innovation=tuple(measured.prediction.innovation),
         sample=measured.sample,
         squares=measured.squares,
         memory=FilterMemory(
-            factor=factor,
-            past=after[N:],
+            columns=columns,
+            past=end.xi[N:],
             past_age=past_age,
             jumps=jumps,
             sensors=sensors,
-            lagged=replace(
-                lagged,
-                age=np.where(lagged.age >= 0.0, lagged.age + H, -1.0),
-                covariance=ahead(model, Phi, lagged.covariance),
-            ),
+            lagged=later(lagged, H),
             age=min(memory.age + 1, model.start_samples),
             lost=lost,
             converged=False,
@@ -90,33 +90,28 @@ def step_with_covariance(
         ),
     )
     estimate = Estimate(
-        x_hat=numbers(published[: layout.n]),
+        x_hat=numbers(published[:n]),
         d_hat=result.d_hat,
-        x_at_sample=numbers(at_sample[: layout.n]),
+        x_at_sample=numbers(at_sample[:n]),
         d_at_sample=numbers(at_sample[d]),
         d_std=result.d_std,
         d_lagged=numbers(d_lagged),
         d_lagged_std=numbers(d_lagged_std),
         residual=result.innovation,
-        residual_std=numbers(measured.innovation_std),
-        valid=valid,
+        residual_std=tuple(measured.prediction.std),
+        valid=is_in_time(sensors) and not lost,
         consistency=consistency(result.squares),
     )
     return result, estimate, measured
 
 
-_LONG = 1e9  # s
-
-
-def at_end_of_step(sensors: SensorMemory, H: float) -> SensorMemory:
-    """Return the memory of the sensors a step H (s) later; before two samples the interval counts as one step."""
-    interval = np.where(sensors.interval > 0.0, sensors.interval, H)
-    return replace(sensors, waited=sensors.waited + H, interval=interval)
-
-
-def is_in_time(sensors: SensorMemory) -> bool:
-    """Return whether a sample was used within the usual interval of the slowest sensor, or not much longer ago."""
-    return bool(np.min(sensors.waited) <= LATE * np.max(sensors.interval))
+def _std_of_disturbance(model: FilterModel, columns: ErrorColumns, variance: Array | None) -> Array:
+    """Return the error bar (q2,) of d̂, with what hypotheses of a jump add to the variance (N or more,) of ξ̂."""
+    d = model.layout.disturbance
+    total = (columns.factor[d] ** 2).sum(axis=1)
+    if variance is not None:
+        total = total + variance[d]
+    return np.asarray(np.minimum(np.sqrt(total), model.bound))
 
 
 def consistency(squares: Vector) -> float:
@@ -125,20 +120,18 @@ def consistency(squares: Vector) -> float:
 
 
 def _with_this_sample(
-    model: FilterModel, xi: Array, factor: Array, jumps: JumpBank, lagged: LagMemory, ages: Array, u: Vector, H: float
-) -> tuple[Array, Array, JumpBank, LagMemory, Array]:
+    model: FilterModel, xi: Array, columns: ErrorColumns, ages: Array, u: Vector, H: float
+) -> tuple[Array, ErrorColumns, Array]:
     """Return all rows with the outputs of delayed sensors at this sample as the newest entries, and their ages."""
     if is_kept(ages, model.longest_delay):
         N, count, which = model.layout.size, len(model.delayed), list(model.delayed)
-        C = model.slopes(xi, u).C[which]
-        now = model.predicted_output(xi, u)[which]
+        C = model.output_slopes(xi, u)[which]
+        now = np.array(model.predicted_output(xi, u))[which]
 
         def pushed(rows: Array, newest: Array) -> Array:
             return np.concatenate([rows[:N], rows[N + count :], newest])
 
         xi = pushed(xi, now)
-        factor = pushed(factor, C @ factor[:N])
-        jumps = replace(jumps, signatures=pushed(jumps.signatures, C @ jumps.signatures[:N]))
-        lagged = replace(lagged, covariance=pushed(lagged.covariance, C @ lagged.covariance[:N]))
+        columns = columns.with_values(pushed(columns.values, C @ columns.values[:N]))
         ages = np.append(ages[1:], 0.0)
-    return xi, factor, jumps, lagged, np.where(ages >= 0.0, ages + H, -1.0)
+    return xi, columns, np.where(ages >= 0.0, ages + H, -1.0)

@@ -1,0 +1,148 @@
+"""What a sample changes in the memory of its output."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+from ndob_fmu.runtime.generated_steps import MEMORY
+from ndob_fmu.runtime.step.adaptive_noise import averaged, of_rounding, smallest_change
+from ndob_fmu.runtime.step.filter_state import SensorMemory
+
+# What a refused sample adds at most to an output's debt, and what a used one leaves of it.
+_MOST_DEBT = 10.0
+_DEBT_LEFT = 0.5
+# Innovations tell of the noise where it makes more than this part of their variance.
+_CLEAR = 6.0
+# Normalised innovations are averaged over so many samples. What exceeds their mean tells of the noise, the mean of the
+# model.
+_LATEST = 10.0
+_LIMIT = 4.0
+LATE = 1.5  # the estimate counts as valid for so many of the usual intervals between samples
+
+
+def latest_mean(sensor: SensorMemory, e: float, alpha: float) -> float:
+    """Return the mean of the latest innovations, over their standard deviations, with e of variance α."""
+    normalised = min(max(e / sqrt(alpha), -_LIMIT), _LIMIT)
+    return sensor.mean + (normalised - sensor.mean) / _LATEST
+
+
+def _repeat_rate(sensor: SensorMemory, repeats: bool) -> float:
+    """Return the share of repeated samples with one more; after a refused sample the next one does not count."""
+    return sensor.repeat_rate if sensor.refused else sensor.repeat_rate + (repeats - sensor.repeat_rate) / MEMORY
+
+
+@dataclass(slots=True)
+class Innovation:
+    """What a sample tells of the noise of its output.
+
+    e, alpha: the innovation and its variance
+    noise, told: the variance of the noise, as the filter has it and as it was told
+    mean: as `latest_mean`
+    change: from the sample before, NaN for the first one
+    repeats: whether the sample repeats the one before
+    learns: whether the start is over
+    """
+
+    e: float
+    alpha: float
+    noise: float
+    told: float
+    mean: float
+    change: float
+    repeats: bool
+    learns: bool
+
+
+def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> SensorMemory:
+    """Return the memory after a sample that was used, and left a residual."""
+    repeat_rate = _repeat_rate(sensor, sample.repeats)
+    resolution, alike = smallest_change(sensor.resolution, sensor.alike, abs(sample.change))
+    ratio, counted = _followed(sensor, sample, residual, of_rounding(resolution, alike, repeat_rate))
+    return SensorMemory(
+        noise_ratio=ratio,
+        counted=counted,
+        repeat_rate=repeat_rate,
+        resolution=resolution,
+        alike=alike,
+        refused=False,
+        debt=sensor.debt * _DEBT_LEFT,
+        skipped=sensor.skipped,
+        drift=sensor.drift,
+        mean=sample.mean,
+        waited=0.0,
+        interval=max(sensor.waited, sensor.interval * (1.0 - 0.5 / MEMORY)),
+    )
+
+
+def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *, stuck: bool) -> SensorMemory:
+    """Return the memory after a sample that was refused.
+
+    if_faulty: logarithm of its probability
+    stuck: whether a sensor of this sample is stuck
+    """
+    e, fresh = sample.e, sensor.debt == 0.0
+    repeat_rate = _repeat_rate(sensor, sample.repeats)
+    resolution, alike = smallest_change(sensor.resolution, sensor.alike, abs(sample.change))
+    rounding = of_rounding(resolution, alike, repeat_rate)
+    ratio, counted = _followed(sensor, sample, e, rounding)
+    if stuck:
+        ratio = max(sensor.noise_ratio, rounding / sample.told) if sample.learns else sensor.noise_ratio
+    return SensorMemory(
+        noise_ratio=ratio,
+        counted=counted,
+        repeat_rate=repeat_rate,
+        resolution=resolution,
+        alike=alike,
+        refused=True,
+        debt=sensor.debt + (0.0 if sample.repeats else min(max(-if_faulty, 0.0), _MOST_DEBT)),
+        skipped=e * e if fresh else 0.5 * (sensor.skipped + e * e),
+        drift=e if fresh else 0.5 * (sensor.drift + e),
+        mean=sample.mean,
+        waited=sensor.waited,
+        interval=sensor.interval,
+    )
+
+
+def _followed(sensor: SensorMemory, sample: Innovation, residual: float, rounding: float) -> tuple[float, float]:
+    """Return the ratio of the noise, and the samples behind it, after an innovation and the residual that it leaves.
+
+    rounding: the least variance of the noise
+    """
+    if not sample.learns:
+        return sensor.noise_ratio, sensor.counted
+    weight = min(1.0, (_CLEAR * sample.noise / sample.alpha) ** 2)
+    counted, told = sensor.counted + weight, sample.told
+    product = (sample.e - sensor.mean * sqrt(sample.alpha)) * residual
+    ratio = averaged(sensor.noise_ratio, counted, product / told, sample.alpha / told, weight)
+    return max(ratio, rounding / told), counted
+
+
+def after_jump(sensor: SensorMemory, *, measured: bool) -> SensorMemory:
+    """Return the memory once a jump is certain: what looked like an outlier was the jump, whose size it has told."""
+    return replace(sensor, mean=0.0, debt=0.0, refused=False, waited=0.0 if measured else sensor.waited)
+
+
+def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
+    """Return the memory a step H (s) later; before two samples the interval counts as one step."""
+    return SensorMemory(
+        noise_ratio=sensor.noise_ratio,
+        counted=sensor.counted,
+        repeat_rate=sensor.repeat_rate,
+        resolution=sensor.resolution,
+        alike=sensor.alike,
+        refused=sensor.refused,
+        debt=sensor.debt,
+        skipped=sensor.skipped,
+        drift=sensor.drift,
+        mean=sensor.mean,
+        waited=sensor.waited + H,
+        interval=sensor.interval if sensor.interval > 0.0 else H,
+    )
+
+
+def is_in_time(sensors: Sequence[SensorMemory]) -> bool:
+    """Return whether a sample was used within the usual interval of the slowest sensor, or not much longer ago."""
+    waited = min(sensor.waited for sensor in sensors)
+    return waited <= LATE * max(sensor.interval for sensor in sensors)
