@@ -11,7 +11,7 @@ import pytest
 from ndob_fmu.analysis.controller_design import design_controller
 from ndob_fmu.support.digits import certain_digits
 from tests.helpers.problems import MODELS
-from tests.kernels import KERNELS, digest, environment, running, verdict
+from tests.kernels import AGREE_TO, KERNELS, digest, environment, largest_difference, running, verdict
 
 
 def test_computed_numbers_are_written_to_nine_digits_and_rounding_errors_of_zeros_as_zero():
@@ -42,6 +42,15 @@ def test_the_kernels_fail_together_where_one_fails_or_builds_other_bytes(capsys)
     assert capsys.readouterr().out == ""
     assert verdict([(0, "a"), (0, "b")]) == 1
     assert "expected the same bytes" in capsys.readouterr().out
+
+
+def test_a_number_of_one_kernel_that_differs_is_found_with_its_name():
+    first = {"tuning": np.array([1.0, 2.0]), "steps": np.array([0.5])}
+    assert largest_difference([first, first])[0] == 0.0
+    difference, where = largest_difference([first, first, {**first, "steps": np.array([0.5 + 1e-6])}])
+    assert difference == pytest.approx(1e-6)
+    assert where == "steps"
+    assert not largest_difference([first, {**first, "steps": np.array([np.nan])}])[0] <= AGREE_TO
 
 
 def test_a_byte_or_a_name_changes_the_digest_of_a_folder(tmp_path):
