@@ -273,15 +273,15 @@ def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
         for batch, hypothesis in zip(reversed(told), reversed(range(len(bank.log_weight))), strict=False):
             shares = np.array([share for _, share in AT_SAMPLE[hypothesis % 2]])
             nodes = len(shares)
-            root = bank.root[hypothesis, :nodes, :nodes]
-            size = bank.size[hypothesis, :nodes]
+            root = bank.sizes[hypothesis, :nodes, :nodes]
+            size = bank.sizes[hypothesis, :nodes, 3]
             signatures = columns[:, 3 * hypothesis : 3 * hypothesis + nodes]
             mean, covariance = batch.estimate()
             corrected = plain.estimate()[1] + signatures @ root @ root.T @ signatures.T
             np.testing.assert_allclose(xi + signatures @ size, mean, rtol=0, atol=1e-8 * BOUND)
             np.testing.assert_allclose(corrected, covariance, rtol=0, atol=1e-7 * np.max(covariance))
             gained = bank.log_weight[hypothesis] - np.log(0.003 * (0.7, 0.3)[hypothesis % 2])
-            gained += 0.5 * (bank.misfit[hypothesis, 0] - bank.misfit[hypothesis, 1])
+            gained += 0.5 * (bank.misfit[0, hypothesis] - bank.misfit[1, hypothesis])
             assert gained == pytest.approx(batch.log_likelihood() - plain.log_likelihood(), abs=1e-6)
             checked += 1
     assert len(told) >= 6

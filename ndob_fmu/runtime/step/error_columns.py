@@ -58,7 +58,10 @@ class ErrorColumns:
 
     def with_room(self, count: int) -> ErrorColumns:
         """Return the columns with so many more of the factor, which are zero."""
-        return self.more(np.zeros((len(self.values), count)))
+        start = self.factor_count
+        values = np.zeros((len(self.values), self.values.shape[1] + count))
+        values[:, :start], values[:, start + count :] = self.values[:, :start], self.values[:, start:]
+        return ErrorColumns(values, start + count, self.jump_count)
 
     def more(self, columns: Array) -> ErrorColumns:
         """Return the columns with more of the factor."""

@@ -16,7 +16,7 @@ from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
 from ndob_fmu.runtime.step.filter_state import SensorMemory
-from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_root, signatures_of
+from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_sizes, signatures_of
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.settings import ObserverSettings
 
@@ -53,9 +53,9 @@ class FilterModel:
         return np.array(self.settings.disturbance_bound, dtype=float)
 
     @cached_property
-    def jump_root(self) -> Array:
-        """Factors (2 q2,3,3) of the covariance of the sizes of jumps in one step, before any evidence."""
-        return first_root(self.bound)
+    def first_sizes(self) -> Array:
+        """The sizes (2 q2,3,4) of jumps in one step before any evidence, as in `JumpBank`."""
+        return first_sizes(self.bound)
 
     @cached_property
     def jump_channel(self) -> Array:

@@ -18,17 +18,16 @@ class JumpBank:
 
     What jumps of one have added to the error of ξ̂ until now is in `ErrorColumns`.
 
-    size (2 L q2,3): the sizes of the jumps, as the innovations since tell them.
-    root (2 L q2,3,3): factor of the covariance of these sizes.
-    misfit (2 L q2,3): sums of squared innovations since, over their variances, without and with the hypothesis, and
+    sizes (2 L q2,3,4): factor of the covariance of the jumps' sizes, and beside it these sizes, as the innovations
+        since tell them.
+    misfit (3,2 L q2): sums of squared innovations since, over their variances, without and with the hypothesis, and
         their number.
     log_weight (2 L q2,): logarithm of the weight over that of no jump but for the misfit; −∞ for an empty place.
     newest_age: time since the last hypotheses were added (s).
     since_jump: samples since a jump was certain, counted up to a limit.
     """
 
-    size: Array
-    root: Array
+    sizes: Array
     misfit: Array
     log_weight: Array
     newest_age: float
@@ -138,8 +137,7 @@ def is_possible(memory: FilterMemory) -> bool:
         columns.values,
         memory.past,
         memory.past_age,
-        jumps.size,
-        jumps.root,
+        jumps.sizes,
         jumps.misfit,
         lagged.age,
         lagged.value,

@@ -64,24 +64,22 @@ _NOTHING = Mixture(None, None, certain=False)
 class Explained(NamedTuple):
     """What an innovation says under each hypothesis.
 
-    size, root, misfit: as in `JumpBank`, afterwards.
+    sizes, misfit: as in `JumpBank`, afterwards.
     gained (2 L q2,): what it adds to `log_weight`.
     """
 
-    size: Array
-    root: Array
+    sizes: Array
     misfit: Array
     gained: Array
 
 
 def empty_bank(disturbance_bound: Array) -> JumpBank:
     """Return a bank without hypotheses, for D₀ (q2,)."""
-    root = np.tile(first_root(disturbance_bound), (LENGTH, 1, 1))
+    sizes = np.tile(first_sizes(disturbance_bound), (LENGTH, 1, 1))
     return JumpBank(
-        size=np.zeros((len(root), _NODES)),
-        root=root,
-        misfit=np.zeros((len(root), 3)),
-        log_weight=np.full(len(root), -np.inf),
+        sizes=sizes,
+        misfit=np.zeros((3, len(sizes))),
+        log_weight=np.full(len(sizes), -np.inf),
         newest_age=np.inf,
         since_jump=LONG_AGO,
     )
@@ -100,31 +98,32 @@ def full_bank(disturbance_bound: Array) -> JumpBank:
     return replace(bank, log_weight=weights, newest_age=0.0)
 
 
-def first_root(disturbance_bound: Array) -> Array:
-    """Return U (2 q2,3,3) of the hypotheses of one step before any evidence, for D₀ (q2,)."""
+def first_sizes(disturbance_bound: Array) -> Array:
+    """Return [U, ν̂] (2 q2,3,4) of the hypotheses of one step before any evidence, for D₀ (q2,)."""
     std = np.sqrt(_VARIANCE * _WEIGHTS) * disturbance_bound[:, None, None]
-    return np.asarray(std.reshape(-1, _NODES)[:, :, None] * np.eye(_NODES))
+    return np.asarray(std.reshape(-1, _NODES)[:, :, None] * np.eye(_NODES, _NODES + 1))
 
 
 def explained(bank: JumpBank, of_jumps: Array, e: float, alpha: float) -> Explained:
     """Return what an innovation e of the variance α says, where jumps of one add `of_jumps` (6 L q2,) to it."""
-    size, root = bank.size, bank.root
-    rho = of_jumps.reshape(size.shape)
-    f = (rho[:, None, :] @ root)[:, 0]
+    rho = of_jumps.reshape(-1, 1, _NODES)
+    both = (rho @ bank.sizes)[:, 0]
+    f, r = both[:, :_NODES], e - both[:, _NODES]
     s = (f * f).sum(axis=1) + alpha
-    r = e - (rho * size).sum(axis=1)
-    along = (root @ f[:, :, None])[:, :, 0]
-    return Explained(
-        size=size + along * (r / s)[:, None],
-        root=root - along[:, :, None] * (f / (s + np.sqrt(alpha * s))[:, None])[:, None, :],
-        misfit=bank.misfit + np.stack([np.full_like(r, e * e / alpha), r * r / s, np.ones_like(r)], axis=1),
-        gained=-0.5 * np.log(s / alpha),
-    )
+    share: Array = np.empty_like(both)
+    share[:, :_NODES] = f / (s + np.sqrt(alpha * s))[:, None]
+    share[:, _NODES] = -r / s
+    misfit: Array = bank.misfit.copy()
+    misfit[0] += e * e / alpha
+    misfit[1] += r * r / s
+    misfit[2] += 1.0
+    along = bank.sizes[:, :, :_NODES] @ f[:, :, None]
+    return Explained(bank.sizes - along * share[:, None, :], misfit, -0.5 * np.log(s / alpha))
 
 
 def if_used(bank: JumpBank, told: Explained) -> JumpBank:
     """Return the bank after a sample that is good."""
-    return JumpBank(told.size, told.root, told.misfit, bank.log_weight + told.gained, bank.newest_age, bank.since_jump)
+    return JumpBank(told.sizes, told.misfit, bank.log_weight + told.gained, bank.newest_age, bank.since_jump)
 
 
 def if_refused(bank: JumpBank, told: Explained, if_good: float, if_faulty: float) -> JumpBank:
@@ -136,9 +135,8 @@ def if_refused(bank: JumpBank, told: Explained, if_good: float, if_faulty: float
     better = if_good + within[1] - without[1] + told.gained > if_faulty
     instead = told.gained + (if_good + within[0] - without[0] - if_faulty)
     return JumpBank(
-        np.where(better[:, None], told.size, bank.size),
-        np.where(better[:, None, None], told.root, bank.root),
-        np.where(better[:, None], told.misfit, bank.misfit),
+        np.where(better[:, None, None], told.sizes, bank.sizes),
+        np.where(better, told.misfit, bank.misfit),
         bank.log_weight + np.where(better, instead, 0.0),
         bank.newest_age,
         bank.since_jump,
@@ -147,7 +145,7 @@ def if_refused(bank: JumpBank, told: Explained, if_good: float, if_faulty: float
 
 def _likelihood(misfit: Array) -> Array:
     """Return the logarithm of Student's density over its peak (2,2 L q2), without and with a jump."""
-    return np.asarray(-0.5 * (_SURE + misfit[:, 2]) * np.log1p(misfit[:, :2].T / _SURE))
+    return np.asarray((misfit[2] + _SURE) * -0.5 * np.log1p(misfit[:2] * (1.0 / _SURE)))
 
 
 def log_weights(bank: JumpBank) -> Array:
@@ -158,16 +156,12 @@ def log_weights(bank: JumpBank) -> Array:
 
 def one_more_sample(bank: JumpBank) -> JumpBank:
     """Return the bank after all outputs of a sample."""
-    return JumpBank(
-        bank.size, bank.root, bank.misfit, bank.log_weight, bank.newest_age, min(bank.since_jump + 1, LONG_AGO)
-    )
+    return JumpBank(bank.sizes, bank.misfit, bank.log_weight, bank.newest_age, min(bank.since_jump + 1, LONG_AGO))
 
 
 def later_bank(bank: JumpBank, H: float) -> JumpBank:
     """Return the bank H s later."""
-    return JumpBank(
-        bank.size, bank.root, bank.misfit, bank.log_weight, min(bank.newest_age + H, _LONG), bank.since_jump
-    )
+    return JumpBank(bank.sizes, bank.misfit, bank.log_weight, min(bank.newest_age + H, _LONG), bank.since_jump)
 
 
 def certain_jump(disturbance_bound: Array) -> JumpBank:
@@ -218,19 +212,19 @@ def _normalised(of_each: Array) -> tuple[Array, float]:
 def _of_each(bank: JumpBank, signatures: Array) -> tuple[Array, Array]:
     """Return the corrections (rows,2 L q2) of the hypotheses, and factors (rows,2 L q2,3) of their covariances."""
     mu = signatures.reshape(len(signatures), -1, _NODES)
-    return np.einsum("rhk,hk->rh", mu, bank.size), np.einsum("rhk,hkj->rhj", mu, bank.root)
+    both = np.einsum("rhk,hkj->rhj", mu, bank.sizes)
+    return both[:, :, _NODES], both[:, :, :_NODES]
 
 
-def with_newest(bank: JumpBank, root: Array) -> JumpBank:
+def with_newest(bank: JumpBank, newest: Array) -> JumpBank:
     """Return the bank with the hypotheses of a jump in this step in place of the oldest, at the end of the step.
 
-    root (2 q2,3,3): as `first_root`
+    newest (2 q2,3,4): as `first_sizes`
     """
-    count = len(root)
+    count = len(newest)
     return JumpBank(
-        size=np.concatenate([bank.size[count:], np.zeros((count, _NODES))]),
-        root=np.concatenate([bank.root[count:], root]),
-        misfit=np.concatenate([bank.misfit[count:], np.zeros((count, 3))]),
+        sizes=np.concatenate([bank.sizes[count:], newest]),
+        misfit=np.concatenate([bank.misfit[:, count:], np.zeros((3, count))], axis=1),
         log_weight=np.concatenate([bank.log_weight[count:], np.tile(_LOG_PROBABILITIES, count // _KINDS)]),
         newest_age=0.0,
         since_jump=bank.since_jump,

@@ -109,7 +109,8 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             continue
         sample[i] = y[i]
         place, stuck = columns.factor_count - p + i, stale and repeats[i]
-        seen = _sight(row, now.columns, prediction.innovation[i] - float(row @ (now.xi - xi)), prediction.noise[i])
+        e = prediction.innovation[i] - (float(row @ (now.xi - xi)) if now.xi is not xi else 0.0)
+        seen = _sight(row, now.columns, e, prediction.noise[i])
         told = explained(now.jumps, _of_jumps(now, seen), seen.e, seen.alpha)
         far = seen.squared > SUSPICIOUS**2
         suspicious = suspicious or far
@@ -141,7 +142,9 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             learns=learns,
         )
         if refused is None:
-            now, K = _corrected(model, now._replace(jumps=if_used(now.jumps, told)), seen, place)
+            now, K = _corrected(
+                model, _Estimate(now.xi, now.columns, if_used(now.jumps, told), now.lagged), seen, place
+            )
             used[i] = True
             squares[i] += (seen.squared - squares[i]) / MEMORY
             sensors[i] = after_used(before, tells, seen.e - float(row @ K) * seen.e)

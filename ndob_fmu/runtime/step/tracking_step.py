@@ -63,7 +63,7 @@ def step_with_covariance(
     if memory.age >= N and jumps.newest_age >= model.jump_spacing * (1.0 - 1e-9):
         newest = model.signatures_in_step(end.jumps)
         signatures = np.concatenate([columns.signatures[:, newest.shape[1] :], newest], axis=1)
-        columns, jumps = columns.with_signatures(signatures), with_newest(jumps, model.jump_root)
+        columns, jumps = columns.with_signatures(signatures), with_newest(jumps, model.first_sizes)
     sensors = tuple(at_end_of_step(sensor, H) for sensor in measured.sensors)
     lost = memory.lost and starting
     result = SampledObserverState(
