@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 import sympy
 
-from ndob_fmu.analysis.lipschitz import box, samples
+from ndob_fmu.analysis.lipschitz import box, climbed, samples
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.progress import begin
@@ -60,13 +59,9 @@ def shortest_direction(model: Model, parameters: Mapping[str, float] | None = No
     lengths = np.linalg.norm(found, axis=1)
     best, length = points[int(np.argmin(lengths))], float(np.min(lengths))
     for start in points[np.argsort(lengths, kind="stable")[: _CLIMBS if names and length else 0]]:
-        climb = scipy.optimize.minimize(
-            lambda z: float(np.linalg.norm(shares((z * half_widths)[None]))),
-            start / half_widths,
-            method="Nelder-Mead",
-            bounds=[(-1.0, 1.0)] * len(names),
-            options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 200 * len(names)},
+        place, least = climbed(
+            lambda z: float(np.linalg.norm(shares((z * half_widths)[None]))), start / half_widths, 1e-12
         )
-        if climb.fun < length:
-            best, length = climb.x * half_widths, float(climb.fun)
+        if least < length:
+            best, length = place * half_widths, least
     return Shortest(length, dict(zip(names, map(float, best), strict=True)), float(np.max(found)))

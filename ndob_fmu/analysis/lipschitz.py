@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 import sympy
 
 from ndob_fmu.model.model import Model
@@ -61,14 +60,10 @@ def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -
     found = [(float(values[i]), points[i]) for i in best]
     if np.isfinite(values[best[0]]) and names:
         for _, start in found[:]:
-            climb = scipy.optimize.minimize(
-                lambda z: -norms((z * half_widths)[None, :])[0],
-                start / half_widths,
-                method="Nelder-Mead",
-                bounds=[(-1.0, 1.0)] * len(names),
-                options={"xatol": 1e-9, "fatol": 1e-12 * max(1.0, found[0][0]), "maxiter": 200 * len(names)},
+            place, negative = climbed(
+                lambda z: -norms((z * half_widths)[None, :])[0], start / half_widths, 1e-12 * max(1.0, found[0][0])
             )
-            found.append((float(-climb.fun), climb.x * half_widths))
+            found.append((-negative, place * half_widths))
     value, point = max(found, key=lambda pair: pair[0])
     return Slope(value, dict(zip(names, map(float, point), strict=True)))
 
@@ -76,6 +71,23 @@ def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -
 def _starts(model: Model) -> tuple[tuple[float, ...], ...]:
     n = len(model.states)
     return ((0.0,) * n, tuple(model.x0 or ()), tuple(model.xhat0 or ()))
+
+
+def climbed(cost: Callable[[Array], float], start: Array, tolerance: float) -> tuple[Array, float]:
+    """Return the place (k,) in the box [−1, 1]ᵏ and the cost at which a search from `start` (k,) finds it least.
+
+    tolerance: of the cost, absolute.
+    """
+    import scipy.optimize  # only here: a linear plant needs no search, and the import takes longer than all its checks
+
+    found = scipy.optimize.minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        bounds=[(-1.0, 1.0)] * len(start),
+        options={"xatol": 1e-9, "fatol": tolerance, "maxiter": 200 * len(start)},
+    )
+    return found.x, float(found.fun)
 
 
 def samples(half_widths: Array) -> Array:
