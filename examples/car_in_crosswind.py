@@ -14,6 +14,8 @@ force, some tenths of a kN, and the moment, some tenths of a kN·m, are numbers 
 −stiffness · [[2, a − b], [a − b, a² + b²]] with a = front_arm, b = rear_arm; its norm is 11.973.
 """
 
+import math
+
 import sympy
 
 from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
@@ -77,7 +79,9 @@ model = Model(
     },
     lipschitz=11.98,
     disturbance_bound=1.0,
-    observer=ObserverDefaults(alpha=1.0, pi_start=1.0, pi_end=1e7, pi_ramp_time=1.0),
+    observer=ObserverDefaults(
+        disturbance_rate=1.0 * (2 * math.pi) ** 2, alpha=1.0, pi_start=1.0, pi_end=1e7, pi_ramp_time=1.0
+    ),
     disturbance=SignalDefaults(kind="sine", amplitude=0.4, frequency=0.2),
     experiment=Experiment(stop_time=5.0, step_size=1e-3),
 )

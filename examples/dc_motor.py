@@ -11,6 +11,8 @@ the electrical pole, −resistance/inductance = −500 1/s. SI units; a small se
 is a rate of 200 1/s. The observer's rate (√pi_end / inertia)^½ = 1000 1/s is chosen well above it.
 """
 
+import math
+
 import sympy
 
 from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
@@ -63,7 +65,9 @@ model = Model(
     },
     lipschitz=0.4,
     disturbance_bound=1.5,
-    observer=ObserverDefaults(alpha=20.0, pi_start=1e-2, pi_end=4e6, pi_ramp_time=1.0),
+    observer=ObserverDefaults(
+        disturbance_rate=1.5 * (2 * math.pi) ** 2, alpha=20.0, pi_start=1e-2, pi_end=4e6, pi_ramp_time=1.0
+    ),
     disturbance=SignalDefaults(kind="sine", amplitude=1.0, frequency=1.0),
     experiment=Experiment(stop_time=3.0, step_size=5e-4),
 )

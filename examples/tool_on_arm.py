@@ -16,6 +16,8 @@ shoulder_angle and elbow_angle, the latter counted from the stretched arm.
 has the longest lever arms; an elbow that turns at up to 5 rad/s turns the direction at `channel_rate` = 5 rad/s.
 """
 
+import math
+
 import sympy
 
 from ndob_fmu import Experiment, Model, ObserverDefaults, SignalDefaults
@@ -99,7 +101,9 @@ model = Model(
     x0=[0.3, 0.0, -0.5, 4.0],
     xhat0=[0.3, 0.0, -0.5, 0.0],
     xhat0_std=[1e-2, 2.0, 1e-2, 4.0],
-    observer=ObserverDefaults(alpha=1.0, pi_start=1e2, pi_end=1e10, pi_ramp_time=1.0),
+    observer=ObserverDefaults(
+        disturbance_rate=20.0 * (2 * math.pi) ** 2, alpha=1.0, pi_start=1e2, pi_end=1e10, pi_ramp_time=1.0
+    ),
     disturbance=SignalDefaults(kind="sine", amplitude=10.0, frequency=1.0),
     experiment=Experiment(stop_time=3.0, step_size=1e-3),
 )

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
+from dataclasses import replace
+from math import inf, isfinite
 from typing import Any
 
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
 from ndob_fmu.interface.model_variables import METHODS, for_each_disturbance, observer_variables
-from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
 from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_rate
+from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
+from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.design.separability import inseparable_offsets, inseparable_parameters
 from ndob_fmu.runtime.equations import Equations, Vector
@@ -66,6 +69,8 @@ class ObserverSlave(Slave):
         # A channel that depends on the state is read out after each step, which the quick step would leave out.
         self._step_converged = quick if self.observer is observer else None
         self.state = self.observer.init(self._for_states("hat_start"))
+        self._has_stepped = False
+        self._outside: set[str] = set()
 
     def possible(self, state: Any, begin: float, now: float) -> bool:
         """Whether the observer can be in such a state."""
@@ -73,7 +78,10 @@ class ObserverSlave(Slave):
 
     def show(self) -> Sequence[Any]:
         """Return the estimate that the first sample alone gives."""
-        return _outputs(self.observer.estimate(self.state, self.values(self.equations.outputs)))
+        eq, state = self.equations, self.state
+        if any(eq.feedthrough) and isinstance(state, SampledObserverState):
+            state = replace(state, u=tuple(self.values(eq.inputs)))
+        return _outputs(self.observer.estimate(state, self.values(eq.outputs)))
 
     def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
         """Take the same step once the gain has converged, with a sample inside the gate."""
@@ -92,7 +100,11 @@ class ObserverSlave(Slave):
         """
         eq = self.equations
         u, y = self.values(eq.inputs), self.values(eq.outputs)
+        if not self._has_stepped:
+            self._has_stepped = True
+            self._warn_of_pace(step_size)
         self.state, estimate = self.observer.step(self.state, u, y, step_size)
+        self._warn_of_ranges(estimate.x_hat)
         outputs = _outputs(estimate)
         if not all(map(isfinite, outputs)):
             raise IntegrationError("the observer's estimate or its error bar leaves the finite numbers")
@@ -106,10 +118,11 @@ class ObserverSlave(Slave):
             alpha=self.value("alpha"),
             noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, self._for_disturbances("disturbance_bound")),
+            disturbance_nominal=self._nominal(),
         )
 
     def _sampled(self) -> SampledObserver:
-        plant, parameters = lumped(self.equations), self.values(self.equations.parameters)
+        plant, parameters = continued(lumped(self.equations)), self.values(self.equations.parameters)
         order = self.value("disturbance_order")
         bound, rate = (self._for_disturbances(name) for name in ("disturbance_bound", "disturbance_rate"))
         x_hat, x_std = self._for_states("hat_start"), self._for_states("hat_start_std")
@@ -121,6 +134,7 @@ class ObserverSlave(Slave):
             **sensors,
             order=order,
             disturbance_bound=lumped_bound(self.equations, bound),
+            disturbance_nominal=self._nominal(),
             disturbance_rate=lumped_rate(self.equations, bound, rate, order=order),
             x_std=x_std,
             parameter_std=parameter_std,
@@ -131,6 +145,34 @@ class ObserverSlave(Slave):
             pi=self.value("pi_end"),
         )
         return sampled_observer(plant, parameters, settings, x_hat)
+
+    def _warn_of_pace(self, step_size: float) -> None:
+        """Log where the rate of the disturbance or the step is absurd for the plant; method 1 uses no rate."""
+        if self.value("method") == METHODS["paper"]:
+            return
+        eq = self.equations
+        pace = pace_of(
+            eq,
+            self.values(eq.parameters),
+            self._for_states("hat_start"),
+            bound=self._for_disturbances("disturbance_bound"),
+            rate=self._for_disturbances("disturbance_rate"),
+            order=self.value("disturbance_order"),
+        )
+        for text in pace_warnings(pace, eq.disturbances, step_size):
+            self.log(text, Fmi2Status.warning)
+
+    def _warn_of_ranges(self, x_hat: Vector) -> None:
+        """Log once of each state that its estimate has left its range."""
+        for name, value in zip(self.equations.states, x_hat, strict=True):
+            low, high = self.equations.ranges.get(name, (-inf, inf))
+            if name not in self._outside and not low <= value <= high:
+                self._outside.add(name)
+                self.log(
+                    f"the estimate of {name}, {value:.4g}, is outside its range, {low:g} to {high:g}: equations are "
+                    f"continued by their tangent there; if {name} has left it too, a wider range is needed",
+                    Fmi2Status.warning,
+                )
 
     def _warn_of_offsets(self, plant: Equations, parameters: Vector, x_hat: Vector, bias_std: Vector) -> None:
         """Log which offsets of sensors a constant disturbance explains as well."""
@@ -158,6 +200,16 @@ class ObserverSlave(Slave):
                 Fmi2Status.warning,
             )
         return wanted
+
+    def _nominal(self) -> list[float]:
+        """Return the nominal value of each unknown input. Raises DesignError where a channel cannot have any."""
+        nominal = self._for_disturbances("disturbance_nominal")
+        channel = self.equations.channel
+        if channel is None:
+            return nominal
+        if any(nominal):
+            raise DesignError.report("disturbance_nominal", expected="0 with a channel", received=f"{nominal[0]:g}")
+        return [0.0] * len(channel.bound)
 
     def _for_states(self, suffix: str) -> list[float]:
         return self.values(f"{name}_{suffix}" for name in self.equations.states)

@@ -39,17 +39,15 @@ class PlantSlave(Slave):
     def start(self, start_time: float) -> None:
         """Make the plant and its start state from the parameters."""
         eq = self.equations
-        parameters = self.values(eq.parameters)
         generators = [
             Generator(*self.values(f"{prefix}.{field}" for field in ("kind", "amplitude", "frequency", "start_time")))
             for prefix in for_each_disturbance("disturbance", eq.disturbances).values()
         ]
-        self.plant = Plant(equations=eq, parameters=parameters, generators=generators)
-        self.C = [[(i, c) for i, c in enumerate(row) if c] for row in eq.linear_part(parameters).C.tolist()]
+        self.plant = Plant(equations=eq, parameters=self.values(eq.parameters), generators=generators)
         self.hidden_states = [i for i, name in enumerate(eq.states) if name not in eq.outputs]
         self.state = PlantMemory(
             plant=self.plant.init(self.values(f"{name}_start" for name in eq.states), start_time),
-            held=(0.0,) * (len(eq.inputs) + len(eq.disturbances)),
+            held=((0.0,) * len(eq.inputs) + eq.disturbance_nominal),
         )
 
     def possible(self, state: PlantMemory, begin: float, now: float) -> bool:
@@ -59,7 +57,7 @@ class PlantSlave(Slave):
     def show(self) -> Sequence[Any]:
         """Return outputs, the other states and total disturbances at the present time."""
         held = self._inputs()
-        return self._outputs(self.state.plant, held[len(self.equations.inputs) :])
+        return self._outputs(self.state.plant, held)
 
     def advance_quickly(self, t: float, step_size: float) -> Sequence[Any] | None:
         """Take the same step if all inputs are finite: the generated code of the plant needs no NumPy then."""
@@ -76,7 +74,7 @@ class PlantSlave(Slave):
         m = len(self.equations.inputs)
         after = self.plant.step(self.state.plant, held[:m], held[m:], t + step_size, step_size)
         self.state = PlantMemory(plant=after, held=held)
-        return self._outputs(after, held[m:])
+        return self._outputs(after, held)
 
     def _inputs(self) -> tuple[float, ...]:
         """Return u and d as set; a value that is not finite is replaced by the last finite one, so that x survives."""
@@ -87,7 +85,8 @@ class PlantSlave(Slave):
         self.log("inputs that are not finite are held", Fmi2Status.warning)
         return tuple(new if isfinite(new) else old for new, old in zip(given, self.state.held, strict=True))
 
-    def _outputs(self, state: PlantState, d: Sequence[float]) -> list[float]:
-        x = state.x
-        outputs = (sum(c * x[i] for i, c in row) for row in self.C)
-        return [*outputs, *(x[i] for i in self.hidden_states), *self.plant.disturbance(state.t, d)]
+    def _outputs(self, state: PlantState, held: Sequence[float]) -> list[float]:
+        """Return y for the input held until then, the other states, and the disturbances."""
+        x, m = state.x, len(self.equations.inputs)
+        outputs = self.equations.output(x, held[:m], self.plant.parameters)
+        return [*outputs, *(x[i] for i in self.hidden_states), *self.plant.disturbance(state.t, held[m:])]

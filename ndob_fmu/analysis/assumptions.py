@@ -15,10 +15,11 @@ from ndob_fmu.analysis.check_report import CheckReport, CheckRow
 from ndob_fmu.analysis.direction import shortest_direction
 from ndob_fmu.analysis.lipschitz import largest_slope
 from ndob_fmu.analysis.separable import separability_rows
-from ndob_fmu.codegen.compile_model import linear_part
+from ndob_fmu.codegen.compile_model import compile_model, working_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.zeros import RANK_TOLERANCE, Balanced, ComplexArray, balance, pencil_zeros
 from ndob_fmu.runtime.step.channel_observer import VANISHING
@@ -42,11 +43,11 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     chosen = model.observer.alpha if alpha is None else alpha
     if not (isinstance(chosen, (int, float)) and math.isfinite(chosen) and chosen > 0):
         raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(chosen))
-    linear = linear_part(model, parameters)
+    linear = working_part(model, parameters)
     begin(f"measuring modes, ranks and zeros of {model.name}")
     system = balance(linear.A, linear.G, linear.C)
     channels = [*([] if linear.matched else [f"f[{i}]" for i in range(linear.G_f.shape[1])]), *model.unknown_inputs]
-    rows = (
+    rows = _general_rows(model, parameters, system, channels) or (
         _enough_outputs(linear),
         _full_rank("rank_C", "rank C = p", system.C, model.outputs, "two outputs measure the same thing"),
         _full_rank("rank_G", "rank G = q", system.G.T, channels, "two unknown inputs act on the plant in the same way"),
@@ -57,8 +58,50 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
         _lipschitz(model, parameters),
         *_direction(model, parameters),
         *separability_rows(model, parameters),
+        _pace(model, parameters),
     )
     return CheckReport(model=model.name, alpha=float(chosen), rows=rows)
+
+
+def _general_rows(
+    model: Model, parameters: Mapping[str, float] | None, system: Balanced, channels: Sequence[str]
+) -> tuple[CheckRow, ...]:
+    """Return the rows of a plant outside the paper's form, linearised where it starts; none for a plant in it."""
+    field = model.vector_field
+    if field.has_paper_form:
+        return ()
+    lacking = [
+        *([] if field.outputs_are_linear else ["outputs that are nonlinear or depend on an input"]),
+        *([] if field.directions_are_constant else ["directions of d that depend on the state"]),
+    ]
+    return (
+        CheckRow("paper_form", True, "y = C x, constant G_d: method 1 only", f"method 2 only: {' and '.join(lacking)}"),
+        _modes_reached("observable", "(A, C) observable", system, system.A, system.C, model.states),
+        _relative_degrees(system, channels),
+        next(_zero_rows(system, 1.0)),
+        *separability_rows(model, parameters),
+        _pace(model, parameters),
+    )
+
+
+def _pace(model: Model, parameters: Mapping[str, float] | None) -> CheckRow:
+    """Return how fast plant and disturbance are, and whether rate or step are absurd; for information."""
+    eq, order = compile_model(model), model.observer.disturbance_order
+    pace = pace_of(
+        eq,
+        model.parameter_values(parameters),
+        eq.xhat0,
+        bound=eq.disturbance_bound,
+        rate=eq.disturbance_rate,
+        order=order,
+    )
+    warnings = pace_warnings(pace, model.disturbances, model.experiment.step_size)
+    modes = dict.fromkeys(f"{mode:.3g}" for mode in (pace.slowest, pace.fastest))
+    plant = f"plant {' to '.join(modes)} 1/s" if pace.fastest else "plant of integrators"
+    disturbance = ", ".join(f"{omega:.3g}" for omega in pace.disturbance)
+    values = {"slowest": pace.slowest, "fastest": pace.fastest, "disturbance": pace.disturbance, "warnings": warnings}
+    measured = f"{plant}, disturbance {disturbance} rad/s, step {model.experiment.step_size:g} s"
+    return CheckRow("pace", True, "for information", "; warning: ".join([measured, *warnings]), values=values)
 
 
 def _row(
@@ -192,25 +235,26 @@ def _lipschitz(model: Model, parameters: Mapping[str, float] | None) -> CheckRow
         return CheckRow(name, True, requirement, "no nonlinearity")
     slope = largest_slope(model, parameters)
     where = ", ".join(f"{name} = {value:.4g}" for name, value in slope.at.items())
+    searched = f"; {slope.searched}"
     values = {"gamma": slope.value, "declared": model.lipschitz, "at": slope.at}
     if not math.isfinite(slope.value):
         return _row(
             name,
             False,
             requirement,
-            "unbounded slope",
+            f"unbounded slope{searched}",
             failure="an f that jumps or cannot be evaluated" + (f" at {where}" if where else ""),
             likely="a root, a division or a switch in f; smooth it wherever the estimate may pass",
             values=values,
         )
     found = f"largest slope {slope.value:.6g}" + (f" at {where}" if where else "")
     if model.lipschitz is None:
-        return CheckRow(name, True, requirement, f"{found}; none declared", values=values)
+        return CheckRow(name, True, requirement, f"{found}; none declared{searched}", values=values)
     return _row(
         name,
         slope.value <= model.lipschitz * (1.0 + LIPSCHITZ_TOLERANCE),
         requirement,
-        f"{found}; declared {model.lipschitz:g} (tolerance {LIPSCHITZ_TOLERANCE:g})",
+        f"{found}; declared {model.lipschitz:g} (tolerance {LIPSCHITZ_TOLERANCE:g}){searched}",
         failure=f"{found} where gamma = {model.lipschitz:g} is declared",
         likely="gamma was declared for other parameters, or a steep part of f was overlooked",
         values=values,

@@ -100,6 +100,12 @@ def certify(
     return _certificate(gain, alone + from_f * lipschitz * largest, system, len(disturbance_rate))
 
 
+def no_certificate(design: StationaryDesign) -> Certificate:
+    """Return the certificate of a plant that no constant matrices describe: none."""
+    system, q = _error_system(design), design.system.linear.G_d.shape[1]
+    return _certificate(np.inf, np.full(2 * q + system.n * _INSTANTS, np.inf), system, q)
+
+
 @dataclass(frozen=True)
 class _ErrorSystem:
     """ξ̃ with the disturbance itself added for r = 0: A (N,N), update J (N,N) and K (N,p), inputs (N,·)."""

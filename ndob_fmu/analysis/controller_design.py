@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
-from ndob_fmu.codegen.compile_model import compile_model, linear_part
+from ndob_fmu.codegen.compile_model import compile_model, working_part
 from ndob_fmu.errors import DesignError, ModelError, UsageError, some_of
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -76,7 +76,7 @@ def design_controller(
             likely="the inputs do not reach a mode that is slower, or a pole lies on that line: try another pace",
         )
     gain = tuple(tuple(float(value) for value in row) for row in K)
-    return ControllerDesign(Feedback(names, gain), poles, _unmatched(linear_part(model).G_d, B))
+    return ControllerDesign(Feedback(names, gain), poles, _unmatched(working_part(model).G_d, B))
 
 
 def _regulated(model: Model, given: Sequence[str] | None) -> tuple[str, ...]:

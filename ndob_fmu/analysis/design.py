@@ -9,13 +9,13 @@ import numpy as np
 from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import sampled_data_design
-from ndob_fmu.codegen.compile_model import compile_model, linear_part
+from ndob_fmu.codegen.compile_model import compile_model, linear_part, working_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.checks import by_name
 from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.design.lumping import lumped_bound, lumped_rate
-from ndob_fmu.runtime.design.tuning import sine_rate
+from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.support.progress import begin
 
 
@@ -44,8 +44,9 @@ def design(
     inputs n_j d.
 
     Raises UsageError for an invalid π, and for r, σ or bounds without a step_size; ModelError for an unknown output;
-    AssumptionError if an assumption of the paper fails; DesignError for other values outside their range, or if a gain
-    is not accurate enough.
+    AssumptionError if an assumption of the paper fails; DesignError for other values outside their range, if a gain is
+    not accurate enough, or without a step_size for a plant outside the paper's form, for which the paper's gains are
+    those of the plant linearised where it starts.
     """
     require_model(model)
     if step_size is None:
@@ -61,6 +62,8 @@ def design(
     if not (np.isfinite(pi) and pi > 0):
         raise UsageError.report("pi", expected="a finite number > 0", received=repr(pi))
     check(model, alpha=alpha, parameters=parameters).require()
+    if step_size is None:
+        linear_part(model, parameters)  # which says what method 1 lacks
     begin(f"designing the observer of {model.name} for pi = {pi:g}")
     continuous = _continuous(model, pi, alpha, parameters)
     if step_size is None:
@@ -74,7 +77,9 @@ def design(
     if order == model.observer.disturbance_order and disturbance_bound is None:
         default = equations.disturbance_rate
     else:
-        default = tuple(sine_rate(value, order) for value in bound)
+        default = tuple(
+            value * omega ** max(order, 1) for value, omega in zip(bound, _paces(model, equations), strict=True)
+        )
     rate = _for_each("disturbance rate", disturbance_rate, q, default)
     return sampled_data_design(
         continuous,
@@ -87,6 +92,13 @@ def design(
         by_pi=expert is not None,
         parameters=parameters,
     )
+
+
+def _paces(model: Model, equations: Equations) -> list[float]:
+    """Return ω (q2,) of the sines that have the model's bounds of d and of its r-th derivative."""
+    root = 1.0 / max(model.observer.disturbance_order, 1)
+    bounds = zip(equations.disturbance_rate, equations.disturbance_bound, strict=True)
+    return [float((rate / bound) ** root) for rate, bound in bounds]
 
 
 def _require_none_given(**of_the_samples: object) -> None:
@@ -114,7 +126,7 @@ def _for_each(
 
 
 def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> PaperDesign:
-    linear = linear_part(model, parameters)
+    linear = working_part(model, parameters)
     gains = paper_gains(linear, pi=pi, alpha=alpha)
     poles = np.linalg.eigvals(linear.A - gains.L @ linear.C)
     estimate = np.sqrt(pi) * linear.selector @ gains.W

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
-from ndob_fmu.analysis.lipschitz import box, climbed, samples
+from ndob_fmu.analysis.lipschitz import climbed
+from ndob_fmu.analysis.region import samples, working_region
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.progress import begin
@@ -30,7 +31,7 @@ class Shortest:
 
 
 def shortest_direction(model: Model, parameters: Mapping[str, float] | None = None) -> Shortest:
-    """Search the box of `analysis.lipschitz` for the shortest n: samples with a fixed seed, then climbs from the best.
+    """Search the working region for the shortest n: samples with a fixed seed, then climbs from the best.
 
     The result is an upper bound of the least length. Raises ModelError for an unknown parameter.
     """
@@ -53,15 +54,18 @@ def shortest_direction(model: Model, parameters: Mapping[str, float] | None = No
         defined = np.isfinite(stacked).all(axis=-1) & (np.imag(stacked) == 0).all(axis=-1)
         return np.asarray(np.where(defined[:, None], np.abs(stacked), 0.0) / bound)
 
-    half_widths = np.array([box(model)[name] for name in names])
-    points = samples(half_widths) if names else np.zeros((1, 0))
+    low, high = working_region(model).bounds(names)
+    middle, half_widths = 0.5 * (low + high), 0.5 * (high - low)
+    points = samples(low, high) if names else np.zeros((1, 0))
     found = shares(points)
     lengths = np.linalg.norm(found, axis=1)
     best, length = points[int(np.argmin(lengths))], float(np.min(lengths))
     for start in points[np.argsort(lengths, kind="stable")[: _CLIMBS if names and length else 0]]:
         place, least = climbed(
-            lambda z: float(np.linalg.norm(shares((z * half_widths)[None]))), start / half_widths, 1e-12
+            lambda z: float(np.linalg.norm(shares((middle + z * half_widths)[None]))),
+            np.clip((start - middle) / half_widths, -1.0, 1.0),
+            1e-12,
         )
         if least < length:
-            best, length = place * half_widths, least
+            best, length = middle + place * half_widths, least
     return Shortest(length, dict(zip(names, map(float, best), strict=True)), float(np.max(found)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.operating_point import middle_input
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 
 _MOST_STEPS = 1000
@@ -16,11 +17,12 @@ _SETTLED = 1e-3
 def settled_error_bars(observer: SampledObserver, x_hat: Array, H: float) -> tuple[Array, Array]:
     """Return the error bars (q2,) of d̂ a step ahead and of the lagged d̂ once they have settled, at steps of H (s).
 
-    The plant moves as the observer predicts it from x̂₀ (n,), with u = 0. Each sample is off by half its noise, with
+    The plant moves as the observer predicts it from x̂₀ (n,), with inputs in the middle of their ranges, or
+    0. Each sample is off by half its noise, with
     alternating signs: equal samples would pass for those of a stuck sensor. After 1000 steps the error bars are taken
     as they are.
     """
-    u = (0.0,) * len(observer.equations.inputs)
+    u = middle_input(observer.equations.inputs, observer.equations.ranges)
     nothing = (0.0,) * len(observer.equations.outputs)
     state = observer.init(x_hat.tolist())
     shown: list[Array] = []

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.analysis.certificate import Certificate, certify
+from ndob_fmu.analysis.certificate import Certificate, certify, no_certificate
 from ndob_fmu.analysis.error_bars import settled_error_bars
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.lumping import lumped
+from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
+from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
@@ -134,7 +136,7 @@ def sampled_data_design(
 
     Raises DesignError for values outside their range or where no stationary gain can be found.
     """
-    equations = lumped(compile_model(model))
+    equations = continued(lumped(compile_model(model)))
 
     def observer_for(rate: tuple[float, ...]) -> SampledObserver:
         return sampled_observer(
@@ -161,6 +163,14 @@ def sampled_data_design(
     intensity = float(found.intensities.disturbance[-len(known.disturbance_bound)])
     bias, noise = predicted_error(found, known.disturbance_rate)
     error_bar, lagged_error_bar = settled_error_bars(observer, np.array(equations.xhat0), step_size)
+    pace = pace_of(
+        equations,
+        observer.parameters,
+        equations.xhat0,
+        bound=disturbance_bound,
+        rate=disturbance_rate,
+        order=order,
+    )
     bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
     return SampledDataDesign(
         **{field.name: getattr(continuous, field.name) for field in fields(PaperDesign)},
@@ -185,8 +195,13 @@ def sampled_data_design(
             disturbance_bound=known.disturbance_bound,
             lipschitz=equations.lipschitz,
             f_states=equations.f_states,
+        )
+        if model.vector_field.has_paper_form
+        else no_certificate(found),
+        warnings=(
+            *_warnings(known.disturbance_bound, step_size, bandwidth, bias, noise, by_pi=by_pi),
+            *([] if by_pi else pace_warnings(pace, model.unknown_inputs, step_size)),
         ),
-        warnings=tuple(_warnings(known.disturbance_bound, step_size, bandwidth, bias, noise, by_pi=by_pi)),
     )
 
 

@@ -18,10 +18,12 @@ Array = tuple[str, Sequence[sympy.Symbol]]
 def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
     """Return, by their names, what builds the functions of `runtime.equations.Equations`, and those of `Channel`.
 
-    Most callers need few of the functions, and those of a large plant take long.
+    Most callers need few of the functions, and those of a large plant take long. Outside the paper's form there are no
+    constant matrices.
     """
     x, u, d, p = ("_x", field.x), ("_u", field.u), ("_d", field.d), ("_p", field.p)
-    matrices = (field.A, field.B, field.C, field.G_f, field.G_d)
+    parts = field.parts
+    matrices = (parts.A, parts.B, parts.C, parts.G_f, parts.G_d)
 
     def all_matrices() -> Function:
         entries = [entry for matrix in matrices for entry in matrix]
@@ -42,7 +44,7 @@ def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
         return {name: lambda: _function(name, [x, u, w, p], field.derivatives(w[1]))}
 
     common = {
-        "matrices": all_matrices,
+        **({"matrices": all_matrices} if field.has_paper_form else {}),
         "nonlinearity": lambda: _function("nonlinearity", [x, u, p], field.f),
         "output": lambda: _function("output", [x, u, p], field.outputs),
         **of_plant("", d, field.driven_by(field.d)),
@@ -60,16 +62,28 @@ def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
 
 def _linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
     """Return [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], row by row, where w(x, d) acts through the columns of G_d."""
-    of_x = field.A + field.G_f * slopes(field.f, field.x) + field.G_d * slopes(w, field.x)
-    of_d = field.G_d * slopes(w, d)
+    of_x, of_d = _slopes_of_rates(field, w, field.parts.A, field.x), field.G_d * slopes(w, d)
+    of_y = field.parts.C + slopes(field.parts.output_rest, field.x)
     of_state = [entry for i in range(len(field.x)) for entry in (*of_x.row(i), *of_d.row(i))]
-    of_output = [entry for i in range(field.C.rows) for entry in (*field.C.row(i), *[sympy.S.Zero] * len(d))]
+    of_output = [entry for i in range(of_y.rows) for entry in (*of_y.row(i), *[sympy.S.Zero] * len(d))]
     return of_state + of_output
 
 
 def _input_slopes(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
-    """Return ∂ẋ/∂u, row by row."""
-    return list(field.B + field.G_f * slopes(field.f, field.u) + field.G_d * slopes(w, field.u))
+    """Return [[∂ẋ/∂u], [∂y/∂u]], row by row."""
+    of_u = _slopes_of_rates(field, w, field.parts.B, field.u)
+    return [*of_u, *slopes(field.parts.output_rest, field.u)]
+
+
+def _slopes_of_rates(
+    field: VectorField, w: Sequence[sympy.Expr], linear: sympy.Matrix, symbols: Sequence[sympy.Symbol]
+) -> sympy.Matrix:
+    """Return the slopes of ẋ, those of its linear part, of f, of w and of columns of G_d that turn."""
+    total = linear + field.parts.G_f * slopes(field.f, symbols) + field.G_d * slopes(w, symbols)
+    if not field.directions_are_constant:
+        for j, acting in enumerate(w):
+            total += slopes(list(field.G_d.col(j)), symbols) * acting
+    return total
 
 
 def _sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:

@@ -6,9 +6,10 @@ decisions. `runtime.generated_steps` describes arguments and results.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from sys import float_info
+from types import MappingProxyType
 
 import sympy
 
@@ -51,13 +52,17 @@ from ndob_fmu.runtime.generated_steps import MEMORY
 from ndob_fmu.runtime.numerics.integrate import ABSOLUTE_TOLERANCE, NODES
 
 Symbols = Sequence[sympy.Symbol]
+Ranges = Mapping[str, Sequence[float]]
 
 H, SUBSTEP, NORM = (sympy.Symbol(name, real=True) for name in ("_H", "_h", "_norm"))
 LARGEST = sympy.Float(float_info.max)
 
 
-def build_steps(field: VectorField) -> dict[str, Callable[[], Function]]:
-    """Return, by their names, what builds plant_constants, plant_trial, observer_constants and observer_step."""
+def build_steps(field: VectorField, ranges: Ranges = MappingProxyType({})) -> dict[str, Callable[[], Function]]:
+    """Return, by their names, what builds plant_constants, plant_trial, observer_constants and observer_step.
+
+    ranges: of states and inputs that ẋ or y are not linear in, by name; the observer's step fails where it leaves one
+    """
     # To the plant n(x, u) d is a function of x; the observer estimates it as inputs of their own.
     lumped = symbols("w", field.G_d.cols)
     x, u, p = field.x, field.u, field.p
@@ -80,7 +85,7 @@ def build_steps(field: VectorField) -> dict[str, Callable[[], Function]]:
             Argument("_gain", "ConvergedGain"),
             _number(H),
         )
-        return Function("observer_step", arguments, _observer_step(of_observer(), u, p))
+        return Function("observer_step", arguments, _observer_step(of_observer(), u, p, ranges))
 
     return {
         "plant_constants": lambda: _constants("plant_constants", of_plant(), p),
@@ -144,7 +149,7 @@ def _error_norm(tried: SubstepAssignments) -> tuple[Statement, ...]:
     return (*assignments(tried.tolerances), Call((NORM,), "largest", (ratios,)))
 
 
-def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statement, ...]:
+def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols, ranges: Ranges) -> tuple[Statement, ...]:
     """Correct by a sample inside the gate with the converged gain, then predict to the end of the step."""
     outputs, q = len(rhs.outputs), len(rhs.d)
     delta = symbols("q", HIGHEST_ORDER * q)
@@ -161,7 +166,10 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
     update = correction(rhs, delta, y, _rows(gain, outputs))
     e = tuple(symbol for symbol, _ in update.innovations)
     d_1, d_at = delta[:q], symbols("o", q)
-    prediction, at_end = _prediction(rhs, delta)
+    prediction, at_end = _prediction(rhs, delta, ranges)
+    # A sample that inputs are fed through to needs what is computed of them.
+    held = assignments(rhs.held)
+    early = held if any(name in output.free_symbols for name, _ in rhs.held for output in rhs.outputs) else ()
     x_hat, d_hat = ([at_end[symbol] for symbol in symbols_of] for symbols_of in (rhs.x, d_1))
     inside_gate = All(tuple(Within(-most, error, most) for error, most in zip(e, gate, strict=True)))
     return (
@@ -175,9 +183,11 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
         Unpack(at_std, "_gain", "at_sample_std"),
         Unpack(residual_std, "_gain", "residual_std"),
         Unpack(gain, "_gain", "K"),
+        *early,
         *assignments(update.innovations),
         If(Not(inside_gate), (Fail(),)),
-        *(If(Not(Within(-LARGEST, symbol, LARGEST)), (Fail(),)) for symbol in u),
+        *(If(Not(Within(-LARGEST, symbol, LARGEST)), (Fail(),)) for symbol in u if symbol.name not in ranges),
+        *_within_ranges(u, u, ranges),
         *assignments(
             (average, average + sympy.Float(1.0 / MEMORY) * (error * error * share - average))
             for average, error, share in zip(squares, e, weight, strict=True)
@@ -185,7 +195,7 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
         *assignments(update.corrected),
         Keep("_at", (*rhs.x, *delta)),
         *assignments(zip(d_at, d_1, strict=True)),
-        *assignments(rhs.held),
+        *(() if early else held),
         *prediction,
         Return(
             Record(
@@ -211,7 +221,9 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols) -> tuple[Statemen
     )
 
 
-def _prediction(rhs: RightHandSide, delta: Symbols) -> tuple[tuple[Statement, ...], dict[sympy.Symbol, sympy.Expr]]:
+def _prediction(
+    rhs: RightHandSide, delta: Symbols, ranges: Ranges
+) -> tuple[tuple[Statement, ...], dict[sympy.Symbol, sympy.Expr]]:
     """Integrate x over H by substeps; d is continued by its Taylor series, from substep to substep.
 
     Returned are the statements, and after these the value at the end of every symbol that changes.
@@ -240,6 +252,7 @@ def _prediction(rhs: RightHandSide, delta: Symbols) -> tuple[tuple[Statement, ..
             (
                 *_taylor_series(stages, d_1, d_2, d_3),
                 *assignments(tried.assignments),
+                *(check for x in tried.x_at_stages for check in _within_ranges(rhs.x, x, ranges)),
                 *assignments(tried.errors),
                 If(All((is_last, *errors_are_small)), (Break(),)),
                 *_error_norm(tried),
@@ -256,6 +269,16 @@ def _prediction(rhs: RightHandSide, delta: Symbols) -> tuple[tuple[Statement, ..
         ),
     )
     return statements, after
+
+
+def _within_ranges(names: Symbols, values: Sequence[sympy.Expr], ranges: Ranges) -> tuple[Statement, ...]:
+    """Fail where a value leaves the range of its name."""
+    return tuple(
+        If(Not(Within(sympy.Float(low), value, sympy.Float(high))), (Fail(),))
+        for name, value in zip(names, values, strict=True)
+        if name.name in ranges
+        for low, high in [ranges[name.name]]
+    )
 
 
 def _taylor_series(stages: Sequence[Symbols], d_1: Symbols, d_2: Symbols, d_3: Symbols) -> tuple[Statement, ...]:

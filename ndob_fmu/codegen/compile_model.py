@@ -12,6 +12,7 @@ from ndob_fmu.codegen.emit import FunctionTexts, equations_text, function_texts,
 from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.errors import ModelError, some_of
 from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.design.operating_point import middle_input, tangent
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.support.progress import begin
@@ -32,17 +33,21 @@ def compile_model(model: Model) -> Equations:
     namespace |= {name: _CompiledOnFirstCall(name, functions, namespace) for name in functions.names}
     _run(equations_text(model), namespace)
     equations: Equations = namespace["EQUATIONS"]
-    values = tuple(equations.parameters.values())
+    values, u = tuple(equations.parameters.values()), middle_input(equations.inputs, equations.ranges)
     try:
-        equations.matrices(values)
+        if equations.matrices is not None:
+            equations.matrices(values)
         for start in (equations.x0, equations.xhat0):
-            equations.nonlinearity(start, (0.0,) * len(equations.inputs), values)
+            equations.nonlinearity(start, u, values)
+            if equations.matrices is None:
+                equations.derivatives(start, u, equations.disturbance_nominal, values)
+                equations.output(start, u, values)
             if equations.channel is not None:
-                equations.channel.direction(start, (0.0,) * len(equations.inputs), values)
+                equations.channel.direction(start, u, values)
     except (ArithmeticError, ValueError, NameError, TypeError) as error:
         raise ModelError.report(
             f"{model.name} at its start values",
-            expected=f"matrices and f{' and channel' if equations.channel else ''} that can be evaluated",
+            expected=f"{_evaluated(equations)} that can be evaluated",
             received=f"{type(error).__name__}: {error}",
             likely="a division by zero, a root of a negative number, or a SymPy function without a Python form",
         ) from error
@@ -69,10 +74,36 @@ def _run(text: str, namespace: dict[str, Any]) -> None:
     exec(compile(text, f"<{namespace['__name__']}>", "exec"), namespace)
 
 
+def _evaluated(equations: Equations) -> str:
+    if equations.matrices is None:
+        return "derivatives and outputs"
+    return f"matrices and f{' and channel' if equations.channel else ''}"
+
+
+def working_part(model: Model, parameters: Mapping[str, float] | None = None) -> LinearPart:
+    """Return the constant matrices; outside the paper's form the plant linearised where it starts.
+
+    Raises ModelError as `linear_part`, and where the plant has no slopes there.
+    """
+    if model.vector_field.has_paper_form:
+        return linear_part(model, parameters)
+    equations = compile_model(model)
+    found = tangent(equations, model.parameter_values(parameters), equations.xhat0)
+    if found is None:
+        raise ModelError.report(
+            f"{model.name}, linearised at its start values",
+            expected="finite slopes of the derivatives and outputs",
+            received="some that cannot be evaluated",
+            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
+        )
+    return found
+
+
 def linear_part(model: Model, parameters: Mapping[str, float] | None = None) -> LinearPart:
     """Return the constant matrices at the default parameters, or with those in `parameters` replaced.
 
-    Raises ModelError for a name that is not a parameter, and for values at which the matrices are not finite.
+    Raises ModelError for a name that is not a parameter, and for values at which the matrices are not finite;
+    DesignError outside the paper's form.
     """
     values = model.parameter_values(parameters)
     try:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ndob_fmu.codegen.build_definitions import build_definitions
 from ndob_fmu.codegen.build_step import build_steps
+from ndob_fmu.codegen.default_rate import disturbance_rate
 from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.codegen.print_python import IMPORTS, print_function
 from ndob_fmu.model.model import SAID_BY_NAME, Model
@@ -29,8 +31,9 @@ _PLANT_WITH_CHANNEL = """def derivatives(_x, _u, _d, _p):
 class FunctionTexts:
     """The texts of a model's functions, by `names` in the order of the module. Each is written when asked for, once."""
 
-    def __init__(self, field: VectorField) -> None:
-        definitions, steps = build_definitions(field), build_steps(field)
+    def __init__(self, field: VectorField, ranges: Mapping[str, Sequence[float]]) -> None:
+        limits = {symbol.name: ranges[symbol.name] for symbol in field.not_linear if symbol.name in ranges}
+        definitions, steps = build_definitions(field), build_steps(field, limits)
         self._builders = {**definitions, **steps}
         self._texts = {"derivatives": _PLANT_WITH_CHANNEL} if field.direction else {}
         self.names = (*definitions, *(name for name in self._texts if name not in definitions), *steps)
@@ -45,7 +48,7 @@ class FunctionTexts:
 @once_per_model
 def function_texts(model: Model) -> FunctionTexts:
     """Return the texts of the model's functions, which only know each other by their names."""
-    return FunctionTexts(model.vector_field)
+    return FunctionTexts(model.vector_field, model.ranges)
 
 
 @once_per_model
@@ -66,7 +69,7 @@ def header_text(model: Model) -> str:
 
 def equations_text(model: Model) -> str:
     """Return the end of the module: EQUATIONS, made of the functions before it."""
-    jacobian = model.vector_field.jacobian
+    field = model.vector_field
     fields: dict[str, Any] = {
         "name": model.name,
         "description": model.description,
@@ -81,18 +84,22 @@ def equations_text(model: Model) -> str:
         "xhat0": model.xhat0,
         "xhat0_std": model.xhat0_std,
         "disturbance_bound": model.disturbance_bound,
-        "disturbance_rate": model.disturbance_rate,
+        "disturbance_rate": disturbance_rate(model, function_texts(model)),
+        "disturbance_nominal": model.disturbance_nominal,
         **{label: model.told(label) for label in SAID_BY_NAME},
         "lipschitz": float(model.lipschitz or 0.0),
-        "f_states": tuple(j for j in range(len(model.states)) if any(entry != 0 for entry in jacobian.col(j))),
+        "f_states": field.nonlinear_states,
+        "ranges": dict(model.ranges),
+        "feedthrough": field.feedthrough,
         "matched": model.matched,
         "observer": model.observer,
         "disturbance": model.disturbance,
         "experiment": model.experiment,
     }
     lines = [f"    {name}={value!r}," for name, value in fields.items()]
-    functions = ("matrices", "nonlinearity", "derivatives", "output", "linearisation", "input_slopes", "sensitivity")
+    functions = ("nonlinearity", "derivatives", "output", "linearisation", "input_slopes", "sensitivity")
     lines += [f"    {name}={name}," for name in functions]
+    lines.append(f"    matrices={'matrices' if field.has_paper_form else None},")
     steps = ("plant_constants", "plant_trial", "observer_constants", "observer_step")
     lines.append(f"    steps=Steps({', '.join(f'{name}={name}' for name in steps)}),")
     if model.channel_expressions:

@@ -24,7 +24,7 @@ from ndob_fmu.runtime.numerics.integrate import (
 
 @dataclass(frozen=True)
 class RightHandSide:
-    """ẋ and y = C x, as pairs of a symbol and its value and as expressions in these symbols.
+    """ẋ and y, as pairs of a symbol and its value and as expressions in these symbols.
 
     x: states (n,)
     d: disturbances (q2,)
@@ -49,6 +49,7 @@ class SubstepAssignments:
     """One substep h of Cash and Karp's method.
 
     assignments: of the stages
+    x_at_stages: x at each stage (n,)
     x_after: x at its end (n,)
     errors: assignments of the error of each state
     tolerances: assignments of what is tolerated of each
@@ -56,6 +57,7 @@ class SubstepAssignments:
     """
 
     assignments: Assignments
+    x_at_stages: tuple[tuple[sympy.Expr, ...], ...]
     x_after: tuple[sympy.Expr, ...]
     errors: Assignments
     tolerances: Assignments
@@ -66,7 +68,7 @@ class SubstepAssignments:
 class Correction:
     """The update by a sample.
 
-    innovations: assignments of e = y − C x̂ (p,)
+    innovations: assignments of e = y − h(x̂, u) (p,)
     corrected: assignments of ξ̂ + K e, in the order of ξ̂
     """
 
@@ -86,7 +88,7 @@ def right_hand_side(
     d: Sequence[sympy.Symbol],
     u: Sequence[sympy.Symbol],
 ) -> RightHandSide:
-    """Take ẋ (n,) and C x (p,) apart by what they depend on; every symbol besides x, d and u is a parameter."""
+    """Take ẋ (n,) and y (p,) apart by what they depend on; every symbol besides x, d and u is a parameter."""
     of_parameters = Hoist("c", frozenset([*x, *d, *u]))
     of_inputs = Hoist("h", frozenset([*x, *d]))
     expressions = [of_inputs(of_parameters(expression)) for expression in [*derivatives, *outputs]]
@@ -117,8 +119,10 @@ def substep(rhs: RightHandSide, h: sympy.Symbol, d_at: Sequence[Sequence[sympy.E
             moved = [rhs.x[j] + first_h * slopes[0][j] for j in range(n)]
         return _named(lines, symbols(stem, n), moved)
 
+    x_at_stages = []
     for i, (weights, d) in enumerate(zip(STAGE_WEIGHTS, d_at, strict=True)):
-        stage = dict(zip([*rhs.x, *rhs.d], [*moved_by(weights, f"x{i}_"), *d], strict=True))
+        x_at_stages.append(tuple(moved_by(weights, f"x{i}_")))
+        stage = dict(zip([*rhs.x, *rhs.d], [*x_at_stages[-1], *d], strict=True))
         for name, value in rhs.varying:
             renamed = sympy.Symbol(f"{name.name}_{i}", real=True)
             lines.append((renamed, value.xreplace(stage)))
@@ -130,6 +134,7 @@ def substep(rhs: RightHandSide, h: sympy.Symbol, d_at: Sequence[Sequence[sympy.E
     error_names, tolerance_names = symbols("e_", n), symbols("l", n)
     return SubstepAssignments(
         assignments=tuple(lines),
+        x_at_stages=tuple(x_at_stages),
         x_after=tuple(x_after),
         errors=tuple(zip(error_names, errors, strict=True)),
         tolerances=tuple(zip(tolerance_names, tolerances, strict=True)),

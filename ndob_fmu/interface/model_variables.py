@@ -13,7 +13,7 @@ _TUNING = (
     *("method", "alpha", "pi_start", "pi_end", "pi_ramp_time"),
     *("disturbance_order", "adapt_noise", "estimate_parameters", "lag"),
 )
-_PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate")
+_PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate", "disturbance_nominal")
 _PER_STATE = ("_hat", "_start", "_hat_start", "_hat_start_std")
 _PER_OUTPUT = ("_noise_std", "_delay", "_bias_std", "_residual", "_residual_std")
 _OF_DISTURBANCE = ("_hat", "_at_sample", "_std", "_lagged", "_lagged_std", "_total")
@@ -63,8 +63,14 @@ def for_each_disturbance(name: str, disturbances: tuple[str, ...]) -> dict[str, 
 def plant_variables(eq: Equations) -> tuple[Variable, ...]:
     """Return the variables of `<Name>Plant`."""
     inputs = [_signal(eq, name, "input", 0.0, "Input") for name in eq.inputs]
-    inputs += [_signal(eq, name, "input", 0.0, "Disturbance, added to the generator's") for name in eq.disturbances]
-    outputs = [_signal(eq, name, "output", None, "Measured output") for name in eq.outputs]
+    inputs += [
+        _signal(eq, name, "input", nominal, "Disturbance, added to the generator's")
+        for name, nominal in zip(eq.disturbances, eq.disturbance_nominal, strict=True)
+    ]
+    outputs = [
+        _signal(eq, name, "output", None, "Measured output", depends_on=tuple(eq.inputs[i] for i in through))
+        for name, through in zip(eq.outputs, eq.feedthrough, strict=True)
+    ]
     outputs += [_signal(eq, name, "output", None, "State") for name in eq.states if name not in eq.outputs]
     outputs += [
         _output(eq, f"{name}_total", name, f"Generator plus input {name}, at the end of the step", (name,), bound)
@@ -147,7 +153,7 @@ def observer_variables(eq: Equations) -> tuple[Variable, ...]:
 
 def _tuning(eq: Equations) -> list[Variable]:
     o = eq.observer
-    bounds, rates = (for_each_disturbance(name, eq.disturbances) for name in _PER_DISTURBANCE)
+    bounds, rates, nominals = (for_each_disturbance(name, eq.disturbances) for name in _PER_DISTURBANCE)
     return [
         parameter(
             "method",
@@ -207,7 +213,7 @@ def _tuning(eq: Equations) -> list[Variable]:
             minimum=0.0,
         ),
         *(
-            parameter(bounds[d], value, f"Bound of |{d}|", unit=_unit(eq, d), positive=True)
+            parameter(bounds[d], value, f"Bound of |{d} - nominal|", unit=_unit(eq, d), positive=True)
             for d, value in zip(eq.disturbances, eq.disturbance_bound, strict=True)
         ),
         *(
@@ -218,6 +224,15 @@ def _tuning(eq: Equations) -> list[Variable]:
                 minimum=0.0,
             )
             for d, value in zip(eq.disturbances, eq.disturbance_rate, strict=True)
+        ),
+        *(
+            parameter(
+                nominals[d],
+                value,
+                f"Value about which {d} is small; disturbance_bound is that of the difference",
+                unit=_unit(eq, d),
+            )
+            for d, value in zip(eq.disturbances, eq.disturbance_nominal, strict=True)
         ),
         parameter(
             "alpha",
@@ -291,7 +306,14 @@ def _output(
 
 
 def _signal(
-    eq: Equations, name: str, causality: str, start: float | None, role: str, *, sampled: bool = False
+    eq: Equations,
+    name: str,
+    causality: str,
+    start: float | None,
+    role: str,
+    *,
+    sampled: bool = False,
+    depends_on: tuple[str, ...] = (),
 ) -> Variable:
     text = eq.descriptions.get(name, name.replace("_", " "))
     return Variable(
@@ -301,6 +323,7 @@ def _signal(
         unit=_unit(eq, name),
         start=start,
         sampled=sampled,
+        depends_on=depends_on,
     )
 
 

@@ -7,6 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from ndob_fmu.errors import ModelError, nearest, one_of, some_of
@@ -135,6 +136,38 @@ def require_one_disturbance(model: str, disturbances: Sequence[str]) -> None:
             received=f"{len(disturbances)}: {some_of(disturbances)}",
             likely="the channel belongs to one of them; give the others constant columns in a model of their own",
         )
+
+
+def require_ranges(where: str, ranges: object, starts: Mapping[str, Sequence[float]], inputs: Sequence[str]) -> Any:
+    """Return the ranges as {name: (lowest, highest)}.
+
+    starts: for each state its start values, which must lie within its range
+    """
+    if not isinstance(ranges, Mapping):
+        raise ModelError.report(
+            where, expected="{state or input: (lowest, highest)}", received=repr(ranges), likely="a list without names"
+        )
+    require_known(where, ranges, [*starts, *inputs])
+    found = {}
+    for name, value in ranges.items():
+        pair = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else ()
+        if len(pair) != 2 or not all(map(is_finite_number, pair)) or not pair[0] < pair[1]:
+            raise ModelError.report(
+                f"{where}, {name}",
+                expected="(lowest, highest), two finite numbers in this order",
+                received=repr(value),
+                likely="the two are the same or exchanged",
+            )
+        low, high = found[name] = (float(pair[0]), float(pair[1]))
+        for start in starts.get(name, ()):
+            if not low <= start <= high:
+                raise ModelError.report(
+                    f"{where}, {name}",
+                    expected="a range that holds the start values x0 and xhat0",
+                    received=f"({low:g}, {high:g}) and a start value of {start:g}",
+                    likely="x0 is left out, and is 0 then, or the range is too narrow",
+                )
+    return MappingProxyType(found)
 
 
 def is_finite_number(value: Any) -> bool:

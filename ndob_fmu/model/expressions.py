@@ -12,8 +12,9 @@ import sympy
 
 from ndob_fmu.errors import ModelError, some_of
 
-# f(x, u, p) or n(x, u, p), with the names as attributes of x, u and p.
+# f(x, u, p), n(x, u, p) or h(x, u, p), with the names as attributes of x, u and p; ẋ(x, u, d, p) has d besides.
 Nonlinearity = Callable[[Any, Any, Any], Sequence[Any]]
+Function = Callable[[Any, Any, Any, Any], Sequence[Any]]
 
 
 @dataclass(frozen=True)
@@ -53,25 +54,31 @@ class Expressions:
         return matrix.applyfunc(lambda entry: self._own_symbols(label, entry, known))
 
     def returned_by(
-        self, label: str, function: Nonlinearity | None, groups: Sequence[Sequence[str]]
+        self,
+        label: str,
+        function: Callable[..., Any] | None,
+        groups: Mapping[str, Sequence[str]],
+        hidden: Sequence[str] = (),
     ) -> tuple[sympy.Expr, ...]:
-        """Return what function(x, u, p) returns, with the names of the three groups; nothing without a function.
+        """Return what a function of these groups of names returns, as of x, u and p; nothing without a function.
+
+        hidden: names of disturbances, on which it must not depend
 
         Raises ModelError where it cannot be called so, or returns anything but a list of real expressions in these.
         """
         if function is None:
             return ()
-        spaces = [SimpleNamespace(**{name: self.symbols[name] for name in group}) for group in groups]
-        known = frozenset(name for group in groups for name in group)
+        spaces = [SimpleNamespace(**{name: self.symbols[name] for name in group}) for group in groups.values()]
+        known = frozenset(name for group in groups.values() for name in group)
         try:
             values = list(function(*spaces))
-            return tuple(self._own_symbols(label, value, known) for value in values)
-        except (AttributeError, TypeError, sympy.SympifyError) as error:
-            if isinstance(error, AttributeError) and _raised_in_sympy(error):
+            return tuple(self._own_symbols(label, value, known, hidden) for value in values)
+        except (AttributeError, TypeError, NameError, sympy.SympifyError) as error:
+            if isinstance(error, AttributeError | NameError) and _raised_in_sympy(error):
                 raise
             raise ModelError.report(
                 f"{self.model}.{label}",
-                expected=f"{label}(x, u, p) returning a list of SymPy expressions in their attributes",
+                expected=f"{_returned(label, groups)} in their attributes",
                 received=_one_line(error),
                 likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
             ) from error
@@ -91,7 +98,9 @@ class Expressions:
             return found
         return [self._parsed(entry) for entry in value] if isinstance(value, list | tuple) else value
 
-    def _own_symbols(self, label: str, expression: Any, known: frozenset[str]) -> sympy.Expr:
+    def _own_symbols(
+        self, label: str, expression: Any, known: frozenset[str], hidden: Sequence[str] = ()
+    ) -> sympy.Expr:
         """Replace the user's symbols by the model's real ones of the same name; refuse any other symbol."""
         expression = sympy.sympify(self._parsed(expression))
         if not isinstance(expression, sympy.Expr) or expression.has(sympy.I):
@@ -99,6 +108,13 @@ class Expressions:
                 f"{self.model}.{label}", expected="real numbers or SymPy expressions", received=str(expression)
             )
         for symbol in expression.free_symbols:
+            if symbol.name in hidden:
+                raise ModelError.report(
+                    f"{self.model}.{label}",
+                    expected="an output that does not depend on disturbances",
+                    received=str(expression),
+                    likely=f"a sensor that {symbol.name} acts on; make it a state, or leave the output out",
+                )
             if symbol.name not in known:
                 raise ModelError.report(
                     f"{self.model}.{label}",
@@ -120,6 +136,12 @@ def _raised_in_sympy(error: Exception) -> bool:
     """Return whether the error comes from SymPy's own code: a fault of the library, not of what it was given."""
     innermost = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][-1]
     return str(innermost.f_globals.get("__name__")).partition(".")[0] == "sympy"
+
+
+def _returned(label: str, groups: Iterable[str]) -> str:
+    is_output = label.startswith("outputs")
+    call = f"{'h' if is_output else label}({', '.join(groups)})"
+    return f"{call} returning {'a SymPy expression' if is_output else 'a list of SymPy expressions'}"
 
 
 def _one_line(error: Exception) -> str:

@@ -1,5 +1,6 @@
-"""The plant as its user writes it: matrices and a symbolic nonlinearity, the one source of everything else.
+"""The plant as its user writes it, in symbols, the one source of everything else.
 
+As in a textbook:             ẋ = F(x, u) + G_d(x, u) d,                 y = h(x, u)
 Matched (paper §2, eq. 1):    ẋ = A x + B u + G (f(x, u) + d),           y = C x
 Unmatched (paper §3, eq. 20): ẋ = A x + B u + G_f f(x, u) + G_d d,       y = C x
 With a channel (docs/state_dependent_channel.md): n(x, u) d in place of d, for one d and n with k entries
@@ -7,17 +8,18 @@ With a channel (docs/state_dependent_channel.md): n(x, u) d in place of d, for o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import sympy
 
 from ndob_fmu.errors import ModelError, UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import reserved_names
+from ndob_fmu.model.affine_split import AffineSplit
 from ndob_fmu.model.checks import (
     by_name,
     for_each,
@@ -30,9 +32,11 @@ from ndob_fmu.model.checks import (
     require_not_negative,
     require_numbers,
     require_one_disturbance,
+    require_ranges,
     require_text,
 )
-from ndob_fmu.model.expressions import Expressions, Nonlinearity, same_matrix
+from ndob_fmu.model.expressions import Expressions, Function, Nonlinearity, same_matrix
+from ndob_fmu.model.reading import MATRIX_FORM, read_dynamics, read_matrices, require_one_form
 from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults, lumped_names
 
@@ -48,10 +52,14 @@ SAID_BY_NAME = {
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A nonlinear plant with unknown disturbances. Matrices hold numbers, or SymPy expressions in the `parameters`.
+    """A nonlinear plant with unknown disturbances, as `dynamics` or as matrices and f.
+
+    Matrices hold numbers, or SymPy expressions in the `parameters`.
 
     name: of the model; the FMUs are called <name>Plant and <name>Observer
     states, inputs, outputs, disturbances: names, of n, m, p and q2 variables
+    dynamics: dynamics(x, u, d, p) returns ẋ, n SymPy expressions that are affine in d; x, u, d and p have the symbols
+        as attributes (`x.link_angle`). `outputs` are then names of states, or {name: h(x, u, p)}
     A, B, C: (n,n), (n,m), (p,n)
     G_d: how the disturbances enter, (n,q2); with a channel (n,k)
     G_f: how f enters, (n,q1); where it is left out or equal to G_d, the system is matched (eq. 1)
@@ -60,7 +68,10 @@ class Model:
     units, descriptions: name of a variable or parameter, and its unit or a text
     description: of the model
     lipschitz: γ of eq. (3)
-    disturbance_bound: D₀, one number or one for each disturbance
+    ranges: where the plant works, {state or input: (lowest, highest)}. γ and the checks look only there, and the
+        observer evaluates the equations only there
+    disturbance_bound: D₀, one number or one for each disturbance: the bound of |d − nominal|
+    disturbance_nominal: value about which d is small, likewise; 0 by default
     noise_std: standard deviation of the noise in a sample of an output, in its unit: {output: σ} or one number for all;
         1e-4 where it is not given, 0 for no noise
     delay: age (s) of a sample of an output when it arrives, likewise; 0 where it is not given
@@ -74,18 +85,19 @@ class Model:
     channel: n(x, u, p) returns k SymPy expressions, the direction in which the one disturbance acts
     channel_bound: bound of each |n_j|, one number or k; 1 by default
     channel_rate: Ω (rad/s), how fast n changes along a motion: its i-th time derivative is at most Ω^i times the bound
-    f_expressions, channel_expressions: what f and channel return, in the model's symbols
+    parts: ẋ and y taken apart into matrices, f, n and what is left, in the model's symbols
+    output_equations: the mapping that `outputs` was, where it was one
 
     Raises ModelError where names, shapes or symbols contradict each other.
     """
 
     name: str
     states: Sequence[str]
-    outputs: Sequence[str]
+    outputs: Any
     disturbances: Sequence[str]
-    A: Any
-    C: Any
-    G_d: Any
+    A: Any = None
+    C: Any = None
+    G_d: Any = None
     inputs: Sequence[str] = ()
     B: Any = None
     G_f: Any = None
@@ -110,29 +122,44 @@ class Model:
     channel: Nonlinearity | None = None
     channel_bound: float | Sequence[float] | None = None
     channel_rate: float = 0.0
-    f_expressions: tuple[sympy.Expr, ...] = field(init=False, repr=False)
-    channel_expressions: tuple[sympy.Expr, ...] = field(init=False, repr=False)
+    dynamics: Function | None = None
+    output_equations: Mapping[str, Any] | None = field(default=None, repr=False)
+    ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    disturbance_nominal: float | Sequence[float] = 0.0
+    parts: AffineSplit = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._check_names()
-        self._read_expressions()
+        self._read_equations()
         self._check_numbers()
+        starts = {name: both for name, *both in zip(self.states, self.x0 or (), self.xhat0 or (), strict=True)}
+        self._set("ranges", require_ranges(f"{self.name}.ranges", self.ranges, starts, self.inputs))
         for row, name in enumerate(self.outputs):
-            unit_row = sympy.Matrix([[1 if state == name else 0 for state in self.states]])
-            if name in self.states and not same_matrix(self.C.row(row), unit_row):
+            state = self.symbols[name] if name in self.states else None
+            if state is not None and (self.vector_field.outputs[row] - state).is_zero is not True:
                 raise ModelError.report(
                     f"{self.name}.outputs",
                     expected=f"output {name!r} to be the state of that name",
-                    received=f"the row {list(self.C.row(row))} of C",
+                    received=f"{name} = {self.vector_field.outputs[row]}",
                     likely="another name is needed for this output, or the rows of C are in another order",
                 )
 
     # -- what follows from the fields
 
     @property
+    def f_expressions(self) -> tuple[sympy.Expr, ...]:
+        """f (q1,) in the model's symbols."""
+        return self.parts.f
+
+    @property
+    def channel_expressions(self) -> tuple[sympy.Expr, ...]:
+        """n (k,) of the channel in the model's symbols; empty without one."""
+        return self.parts.direction
+
+    @property
     def matched(self) -> bool:
         """Whether f and d enter through the same channel (eq. 1), or there is no f."""
-        return not self.f_expressions or same_matrix(self.G_f, self.G_d)
+        return not self.parts.f or same_matrix(self.parts.G_f, self.parts.G_d)
 
     @property
     def unknown_inputs(self) -> tuple[str, ...]:
@@ -153,15 +180,7 @@ class Model:
             tuple(self.symbols[name] for name in group)
             for group in (self.states, self.inputs, self.disturbances, self.parameters)
         )
-        matrices = {name: getattr(self, name) for name in ("A", "B", "C", "G_f", "G_d")}
-        return VectorField(x, u, d, p, **matrices, f=self.f_expressions, direction=self.channel_expressions)
-
-    @property
-    def disturbance_rate(self) -> tuple[float, ...]:
-        """Bound (q2,) of |d^{(r)}|, of |ḋ| for r = 0: the observer's default, or that of 1 Hz sines at the bound."""
-        rate, order = self.observer.disturbance_rate, max(self.observer.disturbance_order, 1)
-        sines = tuple(bound * (2.0 * math.pi) ** order for bound in tuple(self.disturbance_bound))  # type: ignore[arg-type]
-        return self._numbers("observer.disturbance_rate", for_each(len(sines), rate), sines)
+        return VectorField(x, u, d, p, self.parts)
 
     def parameter_values(self, overrides: Mapping[str, float] | None = None) -> tuple[float, ...]:
         """Return all parameter values in their order.
@@ -199,6 +218,8 @@ class Model:
 
     def _check_names(self) -> None:
         require_identifier("the model's name", self.name)
+        if isinstance(self.outputs, Mapping):
+            self._set("output_equations", MappingProxyType(dict(self.outputs)))
         for group in ("states", "inputs", "outputs", "disturbances"):
             names = require_names(f"{self.name}.{group}", getattr(self, group), may_be_empty=group == "inputs")
             self._set(group, names)
@@ -220,41 +241,42 @@ class Model:
     def _require_finite_parameter(self, name: str, value: object) -> None:
         require_finite(f"parameter {name!r} of {self.name}", value)
 
-    def _read_expressions(self) -> None:
-        """Take matrices, f and channel as expressions in the model's own symbols."""
-        n, m, p, q = len(self.states), len(self.inputs), len(self.outputs), len(self.disturbances)
-        read, groups = Expressions(self.name, self.symbols), (self.states, self.inputs, tuple(self.parameters))
-
-        def set_matrix(label: str, value: Any, shape: tuple[int, int], why: str) -> None:
-            self._set(label, read.matrix(label, value, shape, why, self.parameters))
-
-        set_matrix("A", self.A, (n, n), f"{n} states are named")
-        set_matrix("B", self.B if m else None, (n, m), f"{n} states and {m} inputs are named")
-        set_matrix("C", self.C, (p, n), f"{p} outputs and {n} states are named")
-        directions = read.returned_by("channel", self.channel, groups)
-        self._set("channel_expressions", directions)
+    def _read_equations(self) -> None:
+        """Take ẋ and y apart, from either form."""
+        given = {label: getattr(self, label) for label in MATRIX_FORM}
+        require_one_form(self.name, self.dynamics, self.output_equations, given)
+        if self.dynamics is None and self.channel is None:
+            self._refuse_channel_fields()
+        read = Expressions(self.name, self.symbols)
+        names = {group: tuple(getattr(self, group)) for group in ("states", "inputs", "outputs", "disturbances")}
+        names["parameters"] = tuple(self.parameters)
+        if self.dynamics is None:
+            self._set("parts", read_matrices(read, names, given))
+            for label in ("A", "B", "C", "G_f", "G_d"):
+                self._set(label, getattr(self.parts, label))
+        else:
+            outputs = self.output_equations or {name: name for name in self.outputs}
+            bounded = self.channel_bound is not None
+            self._set("parts", read_dynamics(read, names, self.dynamics, outputs, channel=bounded))
         self._check_channel()
-        k, why = q, f"{n} states and {q} disturbances are named"
-        if directions:
-            k = len(directions)
-            why = f"{n} states are named and channel returns {k} expressions"
-        set_matrix("G_d", self.G_d, (n, k), why)
-        expressions = read.returned_by("f", self.f, groups)
-        columns = len(expressions)
-        if self.G_f is None and columns:
-            self._set("G_f", self.G_d)
-        set_matrix("G_f", self.G_f, (n, columns), f"f returns {columns} expressions")
-        self._set("f_expressions", expressions)
 
     def _check_channel(self) -> None:
-        if self.channel is None:
-            given = {"channel_bound": self.channel_bound is not None, "channel_rate": bool(self.channel_rate)}
-            require_no_channel(self.name, given)
-            return
         if not self.channel_expressions:
-            raise ModelError.report(f"{self.name}.channel", expected="at least one expression", received="none")
+            self._refuse_channel_fields()
+            return
         require_one_disturbance(self.name, self.disturbances)
         require_not_negative(f"{self.name}.channel_rate", self.channel_rate, " (rad/s)")
+        if np.any(self.disturbance_nominal):
+            raise ModelError.report(
+                f"{self.name}.disturbance_nominal",
+                expected="0 with a channel",
+                received=repr(self.disturbance_nominal),
+                likely="write the plant as dynamics without channel_bound: the direction may depend on the state there",
+            )
+
+    def _refuse_channel_fields(self) -> None:
+        given = {"channel_bound": self.channel_bound is not None, "channel_rate": bool(self.channel_rate)}
+        require_no_channel(self.name, given)
 
     def _check_numbers(self) -> None:
         n, q, k = len(self.states), len(self.disturbances), len(self.channel_expressions)
@@ -264,6 +286,8 @@ class Model:
         self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, differences, positive=True))
         bound = for_each(q, self.disturbance_bound)
         self._set("disturbance_bound", self._numbers("disturbance_bound", bound, (1.0,) * q, positive=True))
+        nominal = for_each(q, self.disturbance_nominal)
+        self._set("disturbance_nominal", self._numbers("disturbance_nominal", nominal, (0.0,) * q))
         for label in SAID_BY_NAME:
             value = getattr(self, label)
             self._set(label, MappingProxyType(dict(value)) if isinstance(value, Mapping) else value)

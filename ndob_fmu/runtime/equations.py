@@ -11,7 +11,7 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.base_errors import NdobError
+from ndob_fmu.runtime.base_errors import DesignError, NdobError
 from ndob_fmu.runtime.generated_steps import Steps
 from ndob_fmu.runtime.linear_part import LinearPart
 
@@ -30,8 +30,8 @@ class ObserverDefaults:
     adapt_noise: whether the variance of each output's noise follows the innovations
     estimate_parameters: whether uncertain parameters are estimated too
     lag: how long before the sample the lagged estimate is (s)
-    disturbance_rate: bound of |d^{(r)}|, in units of d per s^r, one number or (q2,). None: that of a sine of 1 Hz at
-        the disturbance's bound. 0: the pace follows from pi_end
+    disturbance_rate: bound of |d^{(r)}|, in units of d per s^r, one number or (q2,). None: that of a sine at the
+        disturbance's bound, as fast as the plant (`codegen.default_rate`). 0: the pace follows from pi_end
     alpha: α in 1/s
     pi_start, pi_end: π at the start and after the ramp
     pi_ramp_time: in s
@@ -111,7 +111,9 @@ def lumped_names(disturbance: str, k: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Equations:
-    """ẋ = A x + B u + G_f f(x, u) + G_d d, y = C x, with everything a component needs to name and start it.
+    """ẋ = F(x, u) + G_d(x, u) d, y = h(x, u), with everything a component needs to name and start it.
+
+    In the paper's form F = A x + B u + G_f f(x, u), G_d is constant and h = C x.
 
     Names, units, descriptions and start values are those of `model.Model`. Functions take the parameters p in the order
     of `parameters`. They raise ArithmeticError or ValueError where they have no value, as a root has no slope at 0.
@@ -121,16 +123,19 @@ class Equations:
     bias_std (p,): standard deviation of a constant offset of each output, in its unit; 0 for none
     parameter_std: one-sigma uncertainty of each parameter, in its unit; 0 where it is known
     state_noise (n,): intensity of white noise on ẋ, as a standard deviation per √s; 0 for none
+    disturbance_nominal (q2,): value about which d is small; the bound is that of |d − nominal|
     lipschitz: γ of eq. (3)
-    f_states: indices of the states that f depends on
+    f_states: indices of the states that f depends on; outside the paper's form also what G_d or h depend on
+    ranges: where the plant works, for states and inputs by name; elsewhere they are not limited
+    feedthrough (p,): for each output the indices of the inputs that it depends on directly
     matched: whether f and d enter through the same channel (eq. 1)
-    matrices: matrices(p) returns A, B, C, G_f, G_d as nested tuples
+    matrices: matrices(p) returns A, B, C, G_f, G_d as nested tuples; None outside the paper's form
     nonlinearity: nonlinearity(x, u, p) returns f, a tuple of q1 numbers
     derivatives: derivatives(x, u, d, p) returns ẋ, a tuple of n numbers
     output: output(x, u, p) returns y, a tuple of p numbers
     linearisation: linearisation(x, u, d, p) returns [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], a tuple of (n + p)(n + q2) numbers
         row by row. A jump has the slope 0, a kink that of one side
-    input_slopes: input_slopes(x, u, d, p) returns ∂ẋ/∂u, a tuple of n m numbers row by row
+    input_slopes: input_slopes(x, u, d, p) returns [[∂ẋ/∂u], [∂y/∂u]], a tuple of (n + p) m numbers row by row
     sensitivity: sensitivity(x, u, d, p) returns [[∂ẋ/∂p], [∂y/∂p]], a tuple of (n + p) n_p numbers row by row
     steps: the steps of plant and observer as generated code
     channel: the direction n in which the one disturbance acts: n(x, u) d in place of d; None without a channel
@@ -150,6 +155,7 @@ class Equations:
     xhat0_std: tuple[float, ...]
     disturbance_bound: tuple[float, ...]
     disturbance_rate: tuple[float, ...]
+    disturbance_nominal: tuple[float, ...]
     noise_std: tuple[float, ...]
     delay: tuple[float, ...]
     bias_std: tuple[float, ...]
@@ -157,11 +163,13 @@ class Equations:
     state_noise: tuple[float, ...]
     lipschitz: float
     f_states: tuple[int, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    feedthrough: tuple[tuple[int, ...], ...]
     matched: bool
     observer: ObserverDefaults
     disturbance: SignalDefaults
     experiment: Experiment
-    matrices: Callable[[Vector], tuple[tuple[tuple[float, ...], ...], ...]] = field(repr=False)
+    matrices: Callable[[Vector], tuple[tuple[tuple[float, ...], ...], ...]] | None = field(repr=False)
     nonlinearity: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     derivatives: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     output: Callable[[Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
@@ -172,7 +180,17 @@ class Equations:
     channel: Channel | None = None
 
     def linear_part(self, parameters: Vector) -> LinearPart:
-        """Return the constant matrices at the given parameter values."""
+        """Return the constant matrices at the given parameter values.
+
+        Raises DesignError outside the paper's form.
+        """
+        if self.matrices is None:
+            raise DesignError.report(
+                f"the paper's form of {self.name}, for method 1",
+                expected="y = C x and constant directions of the disturbances",
+                received="nonlinear outputs, inputs fed through to outputs, or directions that turn",
+                likely="this plant is for method 2, with disturbance_order 1 to 3",
+            )
         n, m = len(self.states), len(self.inputs)
         A, B, C, G_f, G_d = (np.array(M, dtype=float) for M in self.matrices(parameters))
         return LinearPart(

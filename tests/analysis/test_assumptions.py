@@ -10,7 +10,7 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ndob_fmu import build, check, design
+from ndob_fmu import Experiment, SignalDefaults, build, check, design
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
 from ndob_fmu.model.model import Model
@@ -300,8 +300,9 @@ def test_relative_degrees_count_the_integrations_to_the_nearest_output(problem):
 
 
 def one_state_model(f, **fields):
-    standard = {"states": ["level", "rate"], "outputs": ["y"], "disturbances": ["d"], "C": [[1, 0]], "G_d": [[0], [1]]}
-    return Model(name="Slope", A=[[0, 1], [0, 0]], f=f, **(standard | fields))
+    standard = {"states": ["level", "rate"], "outputs": ["y"], "disturbances": ["d"]}
+    standard |= {"A": [[0, 1], [0, 0]], "C": [[1, 0]], "G_d": [[0], [1]]}
+    return Model(name="Slope", f=f, **(standard | fields))
 
 
 def test_gamma_that_is_declared_too_small_fails_and_says_where_f_is_steeper():
@@ -326,7 +327,8 @@ def test_a_steep_place_is_also_found_near_zero_and_where_another_state_is_large(
     near_zero = one_state_model(lambda x, u, p: [sympy.tanh((x.rate - 1e-3) / 1e-5)])
     assert check(near_zero)["lipschitz"].values["gamma"] == pytest.approx(1e5, rel=1e-6)
     loaded_friction = one_state_model(lambda x, u, p: [x.level * sympy.tanh(x.rate / 1e-6)])
-    assert check(loaded_friction)["lipschitz"].values["gamma"] == pytest.approx(1e7, rel=1e-6)
+    # Level and its start are known to ±1, and half of that span is added on each side.
+    assert check(loaded_friction)["lipschitz"].values["gamma"] == pytest.approx(2e6, rel=1e-6)
 
 
 def test_gamma_is_the_spectral_norm_over_all_states_and_channels():
@@ -344,24 +346,63 @@ def test_gamma_is_the_spectral_norm_over_all_states_and_channels():
     assert check(model)["lipschitz"].values["gamma"] == pytest.approx(np.linalg.norm(rows, 2))
 
 
-def test_the_box_reaches_ten_times_the_start_values():
-    far = one_state_model(lambda x, u, p: [x.level**2], lipschitz=100.0, xhat0=[-7.0, 0.0])
-    assert check(far)["lipschitz"].values["gamma"] == pytest.approx(2.0 * 70.0, rel=1e-9)
+def test_gamma_is_that_of_the_ranges():
+    """A polynomial has none without: its slope grows beyond all bounds."""
+    model = one_state_model(lambda x, u, p: [x.level**2], lipschitz=10.0, ranges={"level": (-2.0, 5.0)})
+    row = check(model)["lipschitz"]
+    assert row.passed
+    assert row.values["gamma"] == pytest.approx(10.0, rel=1e-9)
+    assert row.measured.endswith("; in the ranges told")
+
+
+def test_without_ranges_gamma_is_that_around_the_start_values():
+    far = one_state_model(lambda x, u, p: [x.level**2], lipschitz=100.0, xhat0=[-7.0, 0.0], xhat0_std=[0.5, 1.0])
+    row = check(far)["lipschitz"]
+    # From the estimate's start with its error, −7.5, to x0 = 0; half of that is added on each side.
+    assert row.values["gamma"] == pytest.approx(2.0 * (7.5 + 0.5 * 7.5), rel=1e-6)
+    assert "around start values and default experiment, without ranges of level" in row.measured
+
+
+def test_without_ranges_gamma_covers_what_the_default_experiment_visits():
+    still, moved = (
+        check(
+            one_state_model(
+                lambda x, u, p: [x.level**3 / 100],
+                A=[[0, 1], [-1, -1]],
+                disturbance=SignalDefaults(kind="constant", amplitude=amplitude),
+                experiment=Experiment(stop_time=10.0),
+            )
+        )["lipschitz"].values["gamma"]
+        for amplitude in (0.0, 3.0)
+    )
+    assert moved > 5.0 * still
+
+
+def test_a_plant_is_not_looked_at_beyond_its_ranges():
+    """1/gap has no slope at 0, where the ball would touch the magnet."""
+    f = {"f": lambda x, u, p: [1 / x.level], "x0": [0.5, 0.0], "xhat0": [0.5, 0.0]}
+    assert check(one_state_model(**f, ranges={"level": (0.1, 1.0)}))["lipschitz"].values["gamma"] == pytest.approx(
+        100.0
+    )
 
 
 def test_inputs_take_part_in_the_search():
     model = one_state_model(
-        lambda x, u, p: [u.thrust * sympy.sin(x.level)], inputs=["thrust"], B=[[0], [1]], lipschitz=5.0
+        lambda x, u, p: [u.thrust * sympy.sin(x.level)],
+        inputs=["thrust"],
+        B=[[0], [1]],
+        lipschitz=5.0,
+        ranges={"thrust": (-2.0, 10.0)},
     )
     row = check(model)["lipschitz"]
     assert row.values["gamma"] == pytest.approx(10.0, rel=1e-9)
-    assert abs(row.values["at"]["thrust"]) == pytest.approx(10.0)
+    assert row.values["at"]["thrust"] == pytest.approx(10.0)
 
 
 def test_without_a_declared_gamma_the_measured_one_informs():
     row = check(one_state_model(lambda x, u, p: [3.0 * sympy.sin(x.level)]))["lipschitz"]
     assert row.passed
-    assert row.measured == "largest slope 3 at level = 0; none declared"
+    assert row.measured.startswith("largest slope 3 at level = 0; none declared; around start values")
 
 
 @pytest.mark.parametrize(
@@ -413,7 +454,7 @@ def test_the_table_is_ascii_aligned_and_marks_what_fails():
     text = str(check(to_model(BAD[0].linear, "Bad"), alpha=0.5))
     assert text.isascii()
     head, *lines = text.splitlines()
-    assert head == "Bad: 1 of 9 checks FAIL at alpha = 0.5 1/s"
+    assert head == "Bad: 1 of 10 checks FAIL at alpha = 0.5 1/s"
     table = [line for line in lines if not line.lstrip().startswith(">")]
     assert [line[2:6].strip() for line in table].count("FAIL") == 1
     requirement = table[0].index("p >= q")
@@ -435,6 +476,7 @@ def test_the_json_form_carries_every_row_with_its_numbers():
         "minimum_phase",
         "alpha_below_zeros",
         "lipschitz",
+        "pace",
     ]
     np.testing.assert_allclose(rows["minimum_phase"]["values"]["zeros"], [[-1.5, -4.0], [-1.5, 4.0]])
     assert rows["alpha_below_zeros"]["values"]["largest_allowed"] == pytest.approx(1.5)

@@ -1,6 +1,7 @@
 """The generated derivatives of ẋ and y, against central differences of the generated ẋ and y."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from ndob_fmu.codegen.slopes import slopes
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.lumping import lumped
 from tests.codegen.test_emit import FUNCTIONS, scalar
+from tests.helpers.general_plants import GENERAL
 from tests.helpers.problems import MODELS, RANDOM, to_model
 
 # Of central differences with steps of 1e-6: rounding leaves 1e-10 of the function's values, the cut series less.
@@ -41,7 +43,15 @@ def random_model():
     )
 
 
-ALL = MODELS | {problem.name: to_model(problem.linear) for problem in RANDOM} | {"random": random_model()}
+# In units in which no parameter is so small that differences show only rounding.
+BALL = {"Ball": replace(GENERAL["Ball"], parameters={"gravity": 1.0, "pull": 2.0})}
+ALL = (
+    MODELS
+    | GENERAL
+    | BALL
+    | {problem.name: to_model(problem.linear) for problem in RANDOM}
+    | {"random": random_model()}
+)
 
 
 def differences(function, at):
@@ -54,14 +64,14 @@ def differences(function, at):
 def assert_derivatives_agree_with_differences(eq, x, u, d, p):
     n, q, outputs = len(x), len(d), len(eq.outputs)
 
-    def rates_and_outputs(x, d, p):
+    def rates_and_outputs(x, d, p, u=u):
         return np.array([*eq.derivatives(x, u, d, p), *eq.output(x, u, p)], dtype=float)
 
     size = np.max(np.abs(rates_and_outputs(x, d, p)))
     found = np.array(eq.linearisation(x, u, d, p), dtype=float).reshape(n + outputs, n + q)
     assert_close(found, differences(lambda z: rates_and_outputs(z[:n], z[n:], p), np.array([*x, *d])), size)
-    found = np.array(eq.input_slopes(x, u, d, p), dtype=float).reshape(n, len(u))
-    assert_close(found, differences(lambda u: np.array(eq.derivatives(x, u, d, p), dtype=float), np.array(u)), size)
+    found = np.array(eq.input_slopes(x, u, d, p), dtype=float).reshape(n + outputs, len(u))
+    assert_close(found, differences(lambda u: rates_and_outputs(x, d, p, u), np.array(u)), size)
     found = np.array(eq.sensitivity(x, u, d, p), dtype=float).reshape(n + outputs, len(p))
     assert_close(found, differences(lambda p: rates_and_outputs(x, d, p), np.array(p)), size)
 

@@ -190,7 +190,7 @@ def test_parameters_that_admit_no_design_can_be_corrected_too(host):
     assert host.enterInitializationMode() == OK
     assert host.exitInitializationMode() == host.refusal
     (message,) = host.said
-    assert message.startswith("transmission zeros: expected 2 unknown inputs that the 2 outputs tell apart")
+    assert message.startswith("transmission zeros: expected 1 unknown inputs that the 2 outputs tell apart")
     assert host.set("motor_damping", 1.0) == OK
     assert host.exitInitializationMode() == OK
 

@@ -6,6 +6,8 @@
 Both inertias are 1 kg·m², so torques and accelerations share their numbers. Both angles are measured.
 """
 
+import math
+
 import sympy
 
 from ndob_fmu.model.model import Model
@@ -51,7 +53,9 @@ model = Model(
     noise_std=0.0,
     x0=[1.0, 1.0, 1.0, 1.0],
     xhat0=[-1.0, -1.0, -1.0, -1.0],
-    observer=ObserverDefaults(alpha=1.0, pi_start=1.0, pi_end=1e12, pi_ramp_time=10.0),
+    observer=ObserverDefaults(
+        disturbance_rate=5.0 * (2 * math.pi) ** 2, alpha=1.0, pi_start=1.0, pi_end=1e12, pi_ramp_time=10.0
+    ),
     disturbance=SignalDefaults(kind="constant", amplitude=2.0),
     experiment=Experiment(stop_time=20.0, step_size=1e-3),
 )

@@ -51,7 +51,7 @@ class Controller:
     regulated: the m states or outputs that follow references; each is a row of S (m,n)
     gain: K (m,n)
     limit (m,): of each |u|; 0 for no limit
-    compensation: whether d̂ counts; otherwise it is taken to be 0
+    compensation: whether d̂ counts; otherwise it is taken to be nominal
     """
 
     equations: Equations
@@ -65,22 +65,23 @@ class Controller:
     def selection(self) -> Array:
         """S (m,n)."""
         eq = self.equations
-        n, C = len(eq.states), eq.linear_part(self.parameters).C
-        return np.array(
-            [
-                np.eye(n)[eq.states.index(name)] if name in eq.states else C[eq.outputs.index(name)]
-                for name in self.regulated
-            ]
-        )
+        unit = np.eye(len(eq.states))
+
+        def row(name: str) -> Array:
+            if name in eq.states:
+                return np.asarray(unit[eq.states.index(name)])
+            return np.asarray(eq.linear_part(self.parameters).C[eq.outputs.index(name)], dtype=float)
+
+        return np.array([row(name) for name in self.regulated])
 
     def start(self) -> Target:
-        """Return the equilibrium with all references and disturbances at 0; if there is none, one near the plant's x0.
+        """Return the equilibrium for references of 0 and nominal disturbances; if there is none, one near x0.
 
         An empty tank or a shut valve is not a point to linearise at, because an input that enters through f may have no
         effect there. Raises DesignError if there is no equilibrium, or none that the inputs determine.
         """
         eq = self.equations
-        d, x0 = [0.0] * len(eq.disturbances), np.array(eq.x0)
+        d, x0 = list(eq.disturbance_nominal), np.array(eq.x0)
         guess = Target(x=np.zeros(len(eq.states)), u=np.zeros(len(eq.inputs)))
         target = self._equilibrium(guess, [0.0] * len(self.selection), d)
         for u in _FIRST_INPUTS:
@@ -99,7 +100,7 @@ class Controller:
 
         If Newton's method does not converge, the equilibrium of the step before is kept.
         """
-        d = list(d_hat) if self.compensation else [0.0] * len(d_hat)
+        d = list(d_hat if self.compensation else self.equations.disturbance_nominal)
         target = self._equilibrium(target, reference, d) or target
         u = target.u - self.gain @ (np.asarray(x_hat) - target.x)
         return target, np.where(self.limit > 0.0, np.clip(u, -self.limit, self.limit), u)
@@ -113,12 +114,12 @@ class Controller:
         return bool(np.any((self.limit > 0.0) & (np.abs(u) >= self.limit)))
 
     def jacobians(self, target: Target) -> tuple[Array, Array]:
-        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂u (n,m) at the target without disturbance.
+        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂u (n,m) at the target with nominal disturbances.
 
         Raises DesignError where f has no slope.
         """
         try:
-            return self._jacobians(target.x, target.u, [0.0] * len(self.equations.disturbances))
+            return self._jacobians(target.x, target.u, self.equations.disturbance_nominal)
         except (ArithmeticError, ValueError) as error:
             raise DesignError.report(
                 f"the linearisation of {self.equations.name} at its rest position",
@@ -149,8 +150,8 @@ class Controller:
         n, values = len(self.equations.states), z.tolist()
         return np.array(self.equations.derivatives(values[:n], values[n:], d, self.parameters), dtype=float)
 
-    def _jacobians(self, x: Array, u: Array, d: Sequence[float]) -> tuple[Array, Array]:
+    def _jacobians(self, x: Array, u: Array, d: Vector) -> tuple[Array, Array]:
         eq, at = self.equations, (x.tolist(), u.tolist(), d, self.parameters)
         n, m, q = len(x), len(u), len(d)
         of_x = np.array(eq.linearisation(*at), dtype=float).reshape(-1, n + q)[:n, :n]
-        return of_x, np.array(eq.input_slopes(*at), dtype=float).reshape(n, m)
+        return of_x, np.array(eq.input_slopes(*at), dtype=float).reshape(-1, m)[:n]

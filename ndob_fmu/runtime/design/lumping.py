@@ -25,6 +25,7 @@ def lumped(equations: Equations) -> Equations:
         disturbance_rate=tuple(
             lumped_rate(equations, equations.disturbance_bound, equations.disturbance_rate, order=order)
         ),
+        disturbance_nominal=(0.0,) * len(channel.bound),
         derivatives=channel.derivatives,
         linearisation=channel.linearisation,
         input_slopes=channel.input_slopes,

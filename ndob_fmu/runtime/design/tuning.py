@@ -177,11 +177,6 @@ def steady_residual_std(design: StationaryDesign, source_bound: Array) -> Array:
     return np.asarray(np.hypot(design.innovation_noise_std(), bias / np.sqrt(3.0)))
 
 
-def sine_rate(bound: float, order: int) -> float:
-    """Return the bound of the r-th derivative (the first, for r = 0) of a sine of 1 Hz with amplitude `bound`."""
-    return float(bound * (2.0 * np.pi) ** max(order, 1))
-
-
 def squared_errors(design: StationaryDesign, known: Knowledge) -> tuple[float, float]:
     """Return the two parts of J, from the bias and from the noise."""
     with np.errstate(all="ignore"):

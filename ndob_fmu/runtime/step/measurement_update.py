@@ -235,9 +235,9 @@ def _with_jump(model: FilterModel, now: _Estimate) -> _Estimate:
 
 
 def bounded(model: FilterModel, xi: Array, columns: ErrorColumns) -> tuple[Array, ErrorColumns]:
-    """Return ξ̂ and the factor with what |d| ≤ D₀ adds where d is known no better than by that.
+    """Return ξ̂ and the factor with what |d − nominal| ≤ D₀ adds where d is known no better than by that.
 
-    The bound counts as a measurement of d = 0 that leaves the standard deviation D₀.
+    The bound counts as a measurement of the nominal d that leaves the standard deviation D₀.
     """
     for j, bound in enumerate((model.bound * model.scale).tolist() if model.layout.order else ()):
         place, factor = model.layout.n + j, columns.factor
@@ -246,6 +246,6 @@ def bounded(model: FilterModel, xi: Array, columns: ErrorColumns) -> tuple[Array
         if variance > bound * bound:
             noise = variance * bound**2 / (variance - bound**2)
             K = (factor @ seen) / (variance + noise) * model.estimated
-            xi = xi - K * xi[place]
+            xi = xi - K * (xi[place] - model.settings.disturbance_nominal[j])
             columns = columns.with_factor(np.column_stack([factor - K[:, None] * seen, K * sqrt(noise)]))
     return xi, columns

@@ -55,12 +55,14 @@ class PaperObserver:
     """The observer at given parameters. It remembers nothing between steps but in the state.
 
     gains: as functions of π along its schedule
+    nominal (q2,): value about which d is small
     hold_degree: of the polynomial through the last samples that stands for y(t) within a step
     """
 
     equations: Equations
     parameters: Vector
     gains: ScheduledGains
+    nominal: Array
     hold_degree: int = 2
     # Those of the last substep, which stay the same once π is constant.
     _coefficients: LatestResult[ExponentialStep] = field(default_factory=LatestResult, repr=False, compare=False)
@@ -90,7 +92,7 @@ class PaperObserver:
         sample = np.array(y, dtype=float)
         valid = bool(np.all(np.isfinite(sample)))
         residual = sample - self.linear.C @ state.x_hat if valid else np.zeros(len(sample))
-        d_hat = self.linear.selector @ (self._unknown_inputs(state.elapsed, residual) if valid else state.w_hat)
+        d_hat = self._disturbance(self._unknown_inputs(state.elapsed, residual) if valid else state.w_hat)
         return Estimate(
             x_hat=numbers(state.x_hat),
             d_hat=numbers(d_hat),
@@ -136,7 +138,7 @@ class PaperObserver:
         return after, replace(
             start,
             x_hat=numbers(x_hat),
-            d_hat=numbers(self.linear.selector @ w_hat),
+            d_hat=numbers(self._disturbance(w_hat)),
             d_std=numbers(self._error_bar(elapsed)),
         )
 
@@ -159,13 +161,16 @@ class PaperObserver:
         """Return ŵ (q,), eqs. (6) and (23): f(x) − f(x̂) and d where they enter apart, their sum where matched."""
         return self.gains.output_to_w(self.gains.schedule.log_pi(t)) @ output_error
 
+    def _disturbance(self, w_hat: Array) -> Array:
+        return np.asarray(self.linear.selector @ w_hat + self.nominal)
+
     def _error_bar(self, t: float) -> Array:
         return self.gains.disturbance_std(self.gains.schedule.log_pi(t))
 
     def _substep(self, state: PaperObserverState, x_hat: Array, s: float, h: float, *, coasting: bool) -> Array:
         """Return x̂ at s + h after the sample. The gain at the middle is exact; its change is part of N."""
         linear, table, u = self.linear, self.gains.table, state.u.tolist()
-        held = linear.B @ state.u
+        held = linear.B @ state.u + linear.G_d @ self.nominal
         if coasting:
             forcing = [held + linear.G @ state.w_hat] * 3
             changes: list[Array | None] = [None] * 3
@@ -201,11 +206,13 @@ def paper_observer(
     hold_degree: int = 2,
     noise_std: Vector = (),
     disturbance_bound: Vector = (),
+    disturbance_nominal: Vector = (),
 ) -> PaperObserver:
     """Design the observer for the given parameter values.
 
     noise_std (p,): σ of a sample of each output, for the error bar only
     disturbance_bound (q2,): D₀, for the error bar only
+    disturbance_nominal (q2,): value about which d is small; 0 if it is empty
 
     Raises DesignError where the gains cannot be trusted, AssumptionError where α reaches the zeros.
     """
@@ -223,5 +230,6 @@ def paper_observer(
             noise_std=noise_std,
             disturbance_bound=disturbance_bound,
         ),
+        nominal=np.array(disturbance_nominal, dtype=float) if disturbance_nominal else np.zeros(linear.G_d.shape[1]),
         hold_degree=hold_degree,
     )

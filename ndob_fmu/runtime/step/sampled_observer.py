@@ -20,6 +20,7 @@ from ndob_fmu.runtime.design.augmented import Augmented, augment
 from ndob_fmu.runtime.design.intensity_law import IntensityLaw
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
+from ndob_fmu.runtime.design.operating_point import middle_input, tangent
 from ndob_fmu.runtime.design.start_up import start_up
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign
 from ndob_fmu.runtime.design.step_designs import StepDesigns
@@ -125,10 +126,11 @@ class SampledObserver:
         layout, p = self.layout, len(self.equations.outputs)
         xi = np.zeros(layout.size)
         xi[: layout.n] = x_hat
+        xi[layout.disturbance] = self._nominal if layout.order else ()
         xi[layout.parameters] = [self.parameters[i] for i in layout.uncertain]
         return SampledObserverState(
             xi_hat=layout.packed(xi),
-            d_hat=(0.0,) * layout.q,
+            d_hat=self._nominal,
             d_std=numbers(self.known.disturbance_bound),
             u=(0.0,) * len(self.equations.inputs),
             innovation=(0.0,) * p,
@@ -136,6 +138,10 @@ class SampledObserver:
             squares=(1.0,) * p,
             memory=start_memory(self._model(1.0, 0.0)),
         )
+
+    @property
+    def _nominal(self) -> tuple[float, ...]:
+        return tuple(self.settings.disturbance_nominal)
 
     def possible(self, state: SampledObserverState, elapsed: float) -> bool:
         """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
@@ -266,22 +272,24 @@ class SampledObserver:
             default = self.equations.experiment.step_size
             tuned_at = H if _SHORTEST * default <= H else max(default, tuned_at)
             memory = replace(memory, tuned_at=tuned_at)
-        state = replace(state, u=inputs if np.all(np.isfinite(inputs)) else state.u, memory=memory)
+        held = inputs if np.all(np.isfinite(inputs)) else state.u
+        # A sample belongs to the input until then, which outputs with feed-through show. The first one has only this.
+        state = replace(state, u=held if memory.age == 0 else state.u, memory=memory)
         tuned = self.tuned(tuned_at)
         try:
-            after, estimate, measured = self._stepped(tuned, state, sample, H)
+            after, estimate, measured = self._stepped(tuned, state, held, sample, H)
         except (ArithmeticError, ValueError) as error:
             raise IntegrationError(f"model: its equations cannot be evaluated at the estimate ({error})") from error
         return self._frozen(tuned, after, measured, H), estimate
 
     def _stepped(
-        self, tuned: Tuned, state: SampledObserverState, sample: Vector, H: float
+        self, tuned: Tuned, state: SampledObserverState, u: Numbers, sample: Vector, H: float
     ) -> tuple[SampledObserverState, Estimate, Measured]:
         memory = state.memory
         if self.layout.order:
             noise = float(np.exp(np.mean(np.log(tuned.model.noise_ratios(memory.sensors)))))
-            return step_with_covariance(tuned.model, state, sample, H, tuned.intensity(H, noise))
-        return step_of_order_zero(tuned.model, state, sample, H, self.designs.at(tuned.H, tuned.H))
+            return step_with_covariance(tuned.model, state, u, sample, H, tuned.intensity(H, noise))
+        return step_of_order_zero(tuned.model, replace(state, u=u), sample, H, self.designs.at(tuned.H, tuned.H))
 
     def tuned(self, H: float) -> Tuned:
         """Return what is tuned for steps about H (s). Raises DesignError where there is no tuning."""
@@ -326,7 +334,8 @@ class SampledObserver:
             or any(settings.state_noise)
             or any(self.undriven)
         )
-        return plain and settings.lag == 0.0
+        # Outside the paper's form no constant matrices hold wherever the plant is.
+        return plain and settings.lag == 0.0 and self.equations.matrices is not None
 
     def _frozen(self, tuned: Tuned, after: SampledObserverState, measured: Measured, H: float) -> SampledObserverState:
         """Return the state with a frozen gain, where that is as good from now on."""
@@ -384,16 +393,20 @@ def sampled_observer(
         np.array(v, dtype=float)
         for v in (settings.disturbance_bound, settings.disturbance_rate, settings.x_std, settings.sensors.noise_std)
     )
-    linear = equations.linear_part(parameters)
-    require_zeros_left_of(linear, settings.alpha if order == 0 else 0.0)
+    working = linearised(equations, parameters, x_hat, order)
+    # For r = 0 the gain is the paper's, with f as an unknown input.
+    linear = working if equations.matrices is None else equations.linear_part(parameters)
+    if order == 0:
+        require_zeros_left_of(linear, settings.alpha)
+    else:
+        require_zeros_left_of(working, 0.0)
     # No sample is better than the rounding of a number of its size.
-    size = np.abs(linear.C @ np.array(x_hat, dtype=float)) + np.abs(linear.C) @ std
+    size = np.abs(_output(equations, parameters, x_hat, linear.C)) + np.abs(linear.C) @ std
     rounding = 4.0 * np.finfo(float).eps * size
     noise = np.maximum(noise, rounding)
     known = Knowledge(
         R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate, lipschitz=equations.lipschitz
     )
-    tangent = _tangent(equations, parameters, linear, x_hat)
     return SampledObserver(
         equations=equations,
         parameters=parameters,
@@ -407,7 +420,7 @@ def sampled_observer(
         ),
         noise_std=noise,
         rounding=rounding,
-        undriven=_undriven(tangent, settings, x_hat),
+        undriven=_undriven(working, settings, x_hat),
         designs=StepDesigns(
             system=augment(linear, order),
             known=known,
@@ -416,7 +429,7 @@ def sampled_observer(
             pi=settings.pi,
         ),
         tracking=StepDesigns(
-            system=augment(tangent, order),
+            system=augment(working, order),
             known=replace(known, lipschitz=0.0),
             x_std=std,
             alpha=settings.alpha,
@@ -426,23 +439,46 @@ def sampled_observer(
     )
 
 
-def _undriven(tangent: LinearPart, settings: ObserverSettings, x_hat: Vector) -> Array:
+def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector) -> Array:
     """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ and its error."""
     if settings.order == 0:
-        return np.zeros(len(tangent.A))
+        return np.zeros(len(linear.A))
     noise = np.diag(np.array(settings.state_noise, dtype=float))
     size = np.abs(np.array(x_hat, dtype=float)) + np.array(settings.x_std, dtype=float)
-    return undriven_noise(tangent.A, tangent.C, np.hstack([tangent.G_d, noise]), size, 1.0)
+    return undriven_noise(linear.A, linear.C, np.hstack([linear.G_d, noise]), size, 1.0)
 
 
-def _tangent(equations: Equations, parameters: Vector, linear: LinearPart, x_hat: Vector) -> LinearPart:
-    """Return the plant linearised at x̂₀ and u = 0, without f; the linear part where that cannot be evaluated."""
-    n, q = linear.G_d.shape
+def linearised(equations: Equations, parameters: Vector, x_hat: Vector, order: int) -> LinearPart:
+    """Return the plant linearised where it works; its linear part where that cannot be evaluated.
+
+    Raises DesignError outside the paper's form for r = 0, and where the plant cannot be linearised.
+    """
+    found = tangent(equations, parameters, x_hat)
+    if equations.matrices is not None:
+        return equations.linear_part(parameters) if found is None else found
+    if order == 0:
+        raise DesignError.report(
+            "disturbance_order",
+            expected="1, 2 or 3",
+            received="0",
+            likely=f"r = 0 is the paper's design, whose form {equations.name} does not have",
+        )
+    if found is None:
+        raise DesignError.report(
+            f"{equations.name} at the estimate to start from",
+            expected="finite slopes of the derivatives and outputs",
+            received="slopes that cannot be evaluated",
+            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
+        )
+    return found
+
+
+def _output(equations: Equations, parameters: Vector, x_hat: Vector, C: Array) -> Array:
+    """Return the size (p,) of the outputs at x̂₀."""
+    if equations.matrices is not None:
+        return np.asarray(C @ np.array(x_hat, dtype=float))
+    u = middle_input(equations.inputs, equations.ranges)
     try:
-        entries = equations.linearisation(x_hat, (0.0,) * len(equations.inputs), (0.0,) * q, parameters)
+        return np.array(equations.output(x_hat, u, parameters), dtype=float)
     except (ArithmeticError, ValueError):
-        return linear
-    slopes = np.array(entries, dtype=float).reshape(n + len(linear.C), n + q)[:n, :n]
-    if not np.all(np.isfinite(slopes)):
-        return linear
-    return LinearPart(A=slopes, B=linear.B, C=linear.C, G_f=np.zeros((n, 0)), G_d=linear.G_d, matched=True)
+        return np.zeros(len(C))

@@ -34,7 +34,8 @@ class ObserverSettings:
 
     order: r = 0 … 3
     sensors: as above
-    disturbance_bound (q2,): D₀ > 0, the bound of |d|
+    disturbance_bound (q2,): D₀ > 0, the bound of |d − nominal|
+    disturbance_nominal (q2,): value about which d is small
     disturbance_rate (q2,): ≥ 0, the bound of |d^{(r)}|, of |ḋ| for r = 0; with 0 the pace follows from `pi`
     x_std (n,): > 0, the standard deviation of the error of x̂₀
     parameter_std: one-sigma uncertainty of each parameter, 0 where it is known
@@ -48,6 +49,7 @@ class ObserverSettings:
     order: int
     sensors: Sensors
     disturbance_bound: Vector
+    disturbance_nominal: Vector
     disturbance_rate: Vector
     x_std: Vector
     parameter_std: Vector
@@ -77,6 +79,7 @@ def observer_settings(
             bias_std=eq.bias_std if bias_std is None else bias_std,
         ),
         disturbance_bound=eq.disturbance_bound,
+        disturbance_nominal=eq.disturbance_nominal,
         disturbance_rate=eq.disturbance_rate,
         x_std=eq.xhat0_std,
         parameter_std=eq.parameter_std,
@@ -103,6 +106,13 @@ def check_settings(settings: ObserverSettings) -> None:
     _require("disturbance_order", settings.order in ORDERS, "0, 1, 2 or 3", settings.order)
     _require("alpha", positive([settings.alpha]), "a finite number > 0", settings.alpha)
     _require("pi_end", positive([settings.pi]), "a finite number > 0", settings.pi)
+    _require(
+        "disturbance_nominal",
+        bool(np.all(np.isfinite(settings.disturbance_nominal)))
+        and (settings.order > 0 or not any(settings.disturbance_nominal)),
+        "finite numbers, and 0 with disturbance_order 0",
+        np.array(settings.disturbance_nominal),
+    )
     _require("lag", not_negative([settings.lag]), "a finite number ≥ 0", settings.lag)
     for name, values in (
         ("disturbance_bound", settings.disturbance_bound),

@@ -6,6 +6,7 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
+from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.step.delayed_outputs import is_kept
 from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
@@ -20,15 +21,17 @@ from ndob_fmu.runtime.step.time_update import predict
 
 
 def step_with_covariance(
-    model: FilterModel, state: SampledObserverState, y: Vector, H: float, intensity: Array
+    model: FilterModel, state: SampledObserverState, u: Numbers, y: Vector, H: float, intensity: Array
 ) -> tuple[SampledObserverState, Estimate, Measured]:
-    """Advance by H > 0 s from a sample y (p,), with the state's input held over the step.
+    """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step.
+
+    The sample was taken while the input of the state still acted.
 
     intensity (q2,): of the noise behind the r-th derivative of d
 
     Raises IntegrationError where the estimate leaves the finite numbers.
     """
-    layout, u = model.layout, state.u
+    layout = model.layout
     n, N, d = layout.n, layout.size, layout.disturbance
     xi = np.concatenate([layout.unpacked(state.xi_hat), state.memory.past])
     measured, memory = measured_or_reconsidered(model, xi, state, y)
@@ -47,7 +50,7 @@ def step_with_covariance(
         d_lagged_std = np.minimum(d_lagged_std, model.bound)
     past_age = memory.past_age
     if model.delayed:
-        xi, columns, past_age = _with_this_sample(model, xi, columns, past_age, u, H)
+        xi, columns, past_age = _with_this_sample(model, xi, columns, past_age, state.u, H)
 
     starting = memory.age < model.start_samples
     end = predict(model, xi, columns, u, H, intensity, starting=starting)

@@ -1,0 +1,74 @@
+"""The plant linearised where it works: what method 2 is tuned for and judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.linear_part import LinearPart
+from ndob_fmu.runtime.numerics.zeros import balance
+
+Ranges = Mapping[str, Sequence[float]]
+
+# Points that are tried besides the first one, where that tells nothing: shares of the way across each range.
+_SHARES = (0.5, 0.25, 0.75)
+
+
+def middle_input(inputs: Sequence[str], ranges: Ranges) -> tuple[float, ...]:
+    """Return the input (m,) about which to linearise: in the middle of its range, 0 without one."""
+    return tuple(0.5 * sum(ranges[name]) if name in ranges else 0.0 for name in inputs)
+
+
+def tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPart | None:
+    """Return the plant linearised at x̂₀ (n,), without f; None where it cannot be evaluated.
+
+    Where the disturbance moves nothing at x̂₀, or no output shows a state, other points of the ranges are tried.
+    """
+    first = _at(equations, parameters, x_hat, middle_input(equations.inputs, equations.ranges))
+    for found in (first, *(_at(equations, parameters, *point) for point in _others(equations, x_hat))):
+        if found is not None and np.all(np.any(found.G_d, axis=0)) and np.any(found.C):
+            return found
+    return first
+
+
+def _others(equations: Equations, x_hat: Vector) -> list[tuple[list[float], list[float]]]:
+    """Return points (x, u) across the ranges."""
+
+    def across(names: Sequence[str], otherwise: Vector, share: float) -> list[float]:
+        at = dict(zip(names, otherwise, strict=True))
+        for name in names:
+            if name in equations.ranges:
+                low, high = equations.ranges[name]
+                at[name] = low + share * (high - low)
+        return list(at.values())
+
+    if not equations.ranges:
+        return []
+    no_input = (0.0,) * len(equations.inputs)
+    return [(across(equations.states, x_hat, s), across(equations.inputs, no_input, s)) for s in _SHARES]
+
+
+def _at(equations: Equations, parameters: Vector, x: Vector, u: Vector) -> LinearPart | None:
+    n, m, q = len(equations.states), len(equations.inputs), len(equations.disturbances)
+    d = equations.disturbance_nominal
+    try:
+        both = np.array(equations.linearisation(x, u, d, parameters), dtype=float).reshape(-1, n + q)
+        of_u = np.array(equations.input_slopes(x, u, d, parameters), dtype=float).reshape(len(both), m)
+    except (ArithmeticError, ValueError):
+        return None
+    if not (np.all(np.isfinite(both)) and np.all(np.isfinite(of_u))):
+        return None
+    return LinearPart(A=both[:n, :n], B=of_u[:n], C=both[n:, :n], G_f=np.zeros((n, 0)), G_d=both[:n, n:], matched=True)
+
+
+def driven_modes(A: Array, channels: Array) -> Array:
+    """Return the modes (1/s) of the states that the channels (n,·) drive, directly or through other states."""
+    driven = np.any(channels != 0.0, axis=1)
+    for _ in range(len(A)):
+        driven = driven | np.any((A != 0.0) & driven, axis=1)
+    block = A[np.ix_(driven, driven)]
+    system = balance(block, np.zeros((len(block), 0)), np.zeros((0, len(block))))
+    return np.asarray(system.rate * np.linalg.eigvals(system.A))
