@@ -46,7 +46,8 @@ def by_definition(model):
     observer = sampled_observer(eq, model.parameter_values(), observer_settings(eq), at_zero)
     start, tuned = observer.init(at_zero), observer.tuned(STEP)
     memory = replace(start.memory, tuned_at=STEP, step=STEP, age=tuned.model.start_samples)
-    start = replace(start, memory=frozen_memory(tuned.model, memory, observer.designs.at(STEP, STEP)))
+    design = observer.designs.at(STEP, STEP)
+    start = replace(start, memory=frozen_memory(tuned.model, memory, design, memory.frozen_noise))
     u, y = [0.1] * len(eq.inputs), [0.0] * len(eq.outputs)
 
     def steps():

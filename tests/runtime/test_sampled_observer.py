@@ -225,6 +225,25 @@ def test_the_gain_is_frozen_once_it_has_converged():
     np.testing.assert_array_equal(run.state.memory.columns.factor, observer.design(5e-3).prior_factor)
 
 
+@pytest.mark.parametrize("sigma", [0.0, 2e-5, 5e-4])
+def test_the_gain_is_frozen_for_the_noise_that_was_found_where_another_was_told(sigma):
+    observer = observer_of(noise_std=1e-4, bound=[2.0])
+    run = Run(observer, sine(1.0, 1.0), 2e-3, 6.0, sigma=sigma, seed=1)
+    memory = run.state.memory
+    assert memory.converged
+    told = (1e-4 / sigma) ** 2 if sigma else 1e4
+    assert all(0.5 < told * ratio < 4.0 for ratio in memory.frozen_noise)
+    late = run.time > 4.0
+    assert np.mean(np.abs(run.ahead[late]) < 2.0 * run.std[late]) > 0.9
+
+
+def test_the_samples_that_end_a_frozen_gain_do_not_make_the_noise_larger():
+    """They are there because they are far from their prediction; taken for fair ones they double the variance."""
+    run = Run(observer_of(noise_std=1e-4, bound=[2.0]), sine(1.0, 1.0), 1e-3, 4.0, sigma=1e-4, seed=1)
+    assert run.state.memory.converged
+    assert all(0.75 < sensor.noise_ratio < 1.3 for sensor in run.state.memory.sensors)
+
+
 def test_the_host_may_change_its_step_in_every_way():
     steps = [1e-3] * 300 + [2e-3] * 200 + [1e-3 * (1 + 1e-12)] * 200 + [1e-2] * 60
     run = Run(observer_of(), constant(), None, None, steps=steps)

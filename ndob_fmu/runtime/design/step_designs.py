@@ -76,20 +76,30 @@ class StepDesigns:
     _latest: LatestResult[StepDesign] = field(default_factory=LatestResult, repr=False, compare=False)
     _latest_intensities: LatestResult[Intensities] = field(default_factory=LatestResult, repr=False, compare=False)
 
-    def at(self, H: float, tuned_at: float | None = None) -> StepDesign:
+    def at(self, H: float, tuned_at: float | None = None, noise: tuple[float, ...] | None = None) -> StepDesign:
         """Return the design for a step H (s), with the intensities tuned for a step `tuned_at` (s) near it, H if None.
+
+        noise: factors (p,) on the variances of the samples; None for the noise that was told
 
         Raises DesignError where there is none.
         """
-        tuned_for = tuned_at or H
+        tuned_for, told = tuned_at or H, (1.0,) * len(self.known.R_factor)
+        factors = noise or told
 
         def stationary() -> StationaryDesign:
-            return stationary_design(self.system, H, self.known.R_factor, self.intensities(tuned_for), self.alpha)
+            R_factor, intensities = self.known.R_factor, self.intensities(tuned_for)
+            if factors != told:
+                law = self.law(tuned_for)
+                mean = float(np.exp(0.5 * np.mean(np.log(factors))))
+                R_factor = R_factor * np.sqrt(factors)
+                changed = intensities.disturbance * law.at(H, mean) / law.at(tuned_for)
+                intensities = replace(intensities, disturbance=changed)
+            return stationary_design(self.system, H, R_factor, intensities, self.alpha)
 
         def design() -> StepDesign:
-            return StepDesign(_DESIGNS((H, tuned_for, self._key), stationary), self.known)
+            return StepDesign(_DESIGNS((H, tuned_for, factors, self._key), stationary), self.known)
 
-        return self._latest((H, tuned_for), design)
+        return self._latest((H, tuned_for, *factors), design)
 
     def intensities(self, H: float) -> Intensities:
         """Return the noise intensities tuned for a step H (s)."""

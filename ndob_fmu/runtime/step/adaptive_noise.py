@@ -13,6 +13,7 @@ be.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil, log2
 
 _MEMORY = 200.0
 _FIRST = 10.0
@@ -55,3 +56,19 @@ def in_use(ratios: Sequence[float], least: Sequence[float]) -> list[float]:
         1.0 if _CREDIBLE[0] < ratio < _CREDIBLE[1] else max(ratio, smallest)
         for ratio, smallest in zip(ratios, least, strict=True)
     ]
+
+
+def is_sure(counted: float) -> bool:
+    """Return whether as many samples stand behind a ratio as it remembers."""
+    return _FIRST + counted >= _MEMORY
+
+
+def for_a_frozen_gain(used: Sequence[float], least: Sequence[float]) -> tuple[float, ...]:
+    """Return the ratios of variances (p,) that a gain is frozen for: powers of 2^(1/4), so that there are few designs.
+
+    used, least (p,): the ratios in use, and the least possible ones
+    """
+    return tuple(
+        ratio if ratio <= smallest else 2.0 ** (0.25 * ceil(4.0 * log2(ratio)))
+        for ratio, smallest in zip(used, least, strict=True)
+    )

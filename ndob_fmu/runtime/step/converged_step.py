@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from operator import ge
 
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.step_designs import StepDesign, squared_norms
-from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
+from ndob_fmu.runtime.equations import HIGHEST_ORDER, Vector
 from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers, ObserverStepFunction
 from ndob_fmu.runtime.numerics.transition import transition
 from ndob_fmu.runtime.step.error_columns import joined
@@ -31,6 +32,8 @@ class ConvergedStep:
     """What all steps of one length H (s) have in common once the gain is frozen.
 
     tuned_at: the step that the intensities are tuned for (s)
+    noise (p,): factors on the variances of the samples that the gain is for
+    least_squares (p,): as `least_squares`
     design: of the gain
     observer_step, constants, gain: the generated step, and what it takes besides the state, inputs and H
     M_H (q2,p): d̂ = M_H e for r = 0, None for r ≥ 1
@@ -38,6 +41,8 @@ class ConvergedStep:
 
     H: float
     tuned_at: float
+    noise: tuple[float, ...]
+    least_squares: tuple[float, ...]
     design: StepDesign = field(repr=False)
     observer_step: ObserverStepFunction = field(repr=False)
     constants: Numbers = field(repr=False)
@@ -46,11 +51,12 @@ class ConvergedStep:
 
 
 def converged_step(
-    equations: Equations, parameters: Vector, design: StepDesign, tuned_at: float
+    model: FilterModel, design: StepDesign, tuned_at: float, noise: tuple[float, ...]
 ) -> ConvergedStep | None:
     """Return the fast path of a design; None where the generated code cannot be evaluated at the parameters."""
+    equations = model.equations
     try:
-        constants = equations.steps.observer_constants(parameters)
+        constants = equations.steps.observer_constants(model.parameters)
     except (ArithmeticError, ValueError):
         return None
     stationary = design.stationary
@@ -62,6 +68,8 @@ def converged_step(
     return ConvergedStep(
         H=design.H,
         tuned_at=tuned_at,
+        noise=noise,
+        least_squares=least_squares(model, noise),
         design=design,
         observer_step=equations.steps.observer_step,
         constants=constants,
@@ -98,15 +106,26 @@ def disturbance_std(design: StepDesign) -> tuple[Array, Array]:
     return np.minimum(share * ahead, bound), np.minimum(share * at_sample, bound)
 
 
-def squares_are_usual(squares: Numbers) -> bool:
-    """Return whether innovations are as large as with the frozen gain they should be."""
-    return min(squares) >= _LEAST_SQUARES and max(squares) <= _MOST_SQUARES
+def least_squares(model: FilterModel, noise: Vector) -> tuple[float, ...]:
+    """Return averages (p,) of squared innovations over their variance, below which the noise should adapt.
+
+    noise (p,): factors on the variances of the samples. The average is 0 where they are the least possible.
+    """
+    least = model.least_noise.tolist()
+    return tuple(
+        _LEAST_SQUARES if model.adapts and used > smallest else 0.0 for used, smallest in zip(noise, least, strict=True)
+    )
 
 
-def is_quiet(measured: Measured) -> bool:
-    """Return whether all samples of a step were used and usual."""
+def squares_are_usual(squares: Numbers, least: Vector) -> bool:
+    """Return whether innovations are as large as with the frozen gain they should be; least (p,): `least_squares`."""
+    return max(squares) <= _MOST_SQUARES and all(map(ge, squares, least))
+
+
+def is_quiet(measured: Measured, least: Vector) -> bool:
+    """Return whether all samples of a step were used and usual; least (p,): `least_squares`."""
     quiet = not measured.suspicious and measured.mixture.shift is None and all(measured.used)
-    return quiet and squares_are_usual(measured.squares)
+    return quiet and squares_are_usual(measured.squares, least)
 
 
 def has_converged(model: FilterModel, memory: FilterMemory, design: StepDesign) -> bool:
@@ -116,11 +135,14 @@ def has_converged(model: FilterModel, memory: FilterMemory, design: StepDesign) 
     return bool((now <= design.judged_variances * (1.0 + tolerance) ** 2).all())
 
 
-def frozen_memory(model: FilterModel, memory: FilterMemory, design: StepDesign) -> FilterMemory:
-    """Return the memory that stays the same while the gain is frozen."""
+def frozen_memory(
+    model: FilterModel, memory: FilterMemory, design: StepDesign, noise: tuple[float, ...]
+) -> FilterMemory:
+    """Return the memory that stays the same while the gain is frozen for noise (p,)."""
     stationary = design.stationary
+    memory = replace(memory, converged=True, frozen_noise=noise)
     if stationary.system.order == 0:
-        return replace(memory, columns=memory.columns.with_factor(stationary.prior_factor), converged=True)
+        return replace(memory, columns=memory.columns.with_factor(stationary.prior_factor))
     spacing = max(1, round(model.jump_spacing / design.H))
     signatures = []
     A = stationary.system.A
@@ -131,4 +153,4 @@ def frozen_memory(model: FilterModel, memory: FilterMemory, design: StepDesign) 
             signatures.append(mu)
         mu = stationary.discrete.Phi @ (mu - stationary.K @ (stationary.system.C @ mu))
     columns = joined(stationary.prior_factor, np.hstack(signatures[::-1]), memory.columns.covariance)
-    return replace(memory, columns=columns, jumps=full_bank(model.bound), converged=True)
+    return replace(memory, columns=columns, jumps=full_bank(model.bound))

@@ -88,7 +88,7 @@ class FilterMemory:
     jumps, lagged: as above; sensors (p,): of each output.
     age: samples since the start, counted until the start-up is over.
     lost: whether the estimate was given up and has not converged again.
-    converged: whether the gain is frozen.
+    converged: whether the gain is frozen; frozen_noise (p,): for which factors on the variances of the samples.
     tuned_at: the step that the intensities are tuned for (s); 0 before the first step.
     step, steady: the last step (s), and how many steps in a row had its length, counted until the start is over.
     """
@@ -102,6 +102,7 @@ class FilterMemory:
     age: int
     lost: bool
     converged: bool
+    frozen_noise: tuple[float, ...]
     tuned_at: float
     step: float
     steady: int
@@ -150,6 +151,7 @@ def is_possible(memory: FilterMemory) -> bool:
         and not np.any(jumps.log_weight == np.inf)
         and jumps.newest_age >= 0.0
         and all(map(_is_possible_sensor, memory.sensors))
+        and all(isfinite(ratio) and ratio > 0.0 for ratio in memory.frozen_noise)
         and memory.tuned_at >= 0.0
         and memory.step >= 0.0
         and memory.age >= 0

@@ -94,7 +94,9 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
     """Update ξ̂⁻ (N + past,) and its covariance with a sample y (p,)."""
     p, variances = len(y), model.noise_variance.tolist()
     prediction = predicted(model, xi, memory, state.u, y)
-    starting, learns = memory.age < model.start_samples, memory.age > model.layout.size
+    starting = memory.age < model.start_samples
+    # The sample that ends a stretch with a frozen gain is there because it is unusual, and would not be a fair one.
+    learns = memory.age > model.layout.size and not memory.converged
     repeats = [one and y[i] == state.sample[i] for i, one in enumerate(prediction.measured)]
     stale = memory.age > 0 and any(
         repeats[i] and (abs(prediction.innovation[i]) > SUSPICIOUS * prediction.std[i] or memory.sensors[i].refused)

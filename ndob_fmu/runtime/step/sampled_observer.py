@@ -30,13 +30,14 @@ from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.memo import LatestResult
-from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO
+from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_sure
 from ndob_fmu.runtime.step.converged_step import (
     ConvergedStep,
     converged_step,
     frozen_memory,
     has_converged,
     is_quiet,
+    least_squares,
     squares_are_usual,
 )
 from ndob_fmu.runtime.step.filter_model import FilterModel
@@ -223,15 +224,16 @@ class SampledObserver:
         if not memory.converged or memory.step != H:
             return None
         common = self._converged.value
-        if common is None or common.H != H or common.tuned_at != memory.tuned_at:
-            common = self._converged((H, memory.tuned_at), lambda: self._prepared(H, memory.tuned_at))
+        noise, tuned_at = memory.frozen_noise, memory.tuned_at
+        if common is None or common.H != H or common.tuned_at != tuned_at or common.noise != noise:
+            common = self._converged((H, tuned_at, *noise), lambda: self._prepared(H, tuned_at, noise))
             if common is None:
                 return None
         try:
             done = common.observer_step(state.xi_hat, inputs, state.squares, common.constants, common.gain, H)
         except (ArithmeticError, ValueError):
             return None
-        if done is None or not squares_are_usual(done.squares):
+        if done is None or not squares_are_usual(done.squares, common.least_squares):
             return None
         d_hat, outputs = done.d_hat, done.outputs
         if common.M_H is not None:
@@ -339,21 +341,24 @@ class SampledObserver:
 
     def _frozen(self, tuned: Tuned, after: SampledObserverState, measured: Measured, H: float) -> SampledObserverState:
         """Return the state with a frozen gain, where that is as good from now on."""
-        memory = after.memory
-        started = memory.age >= tuned.model.start_samples and memory.steady >= tuned.model.start_samples
-        adapted = any(ratio != 1.0 for ratio in tuned.model.noise_ratios(memory.sensors))
-        if not (tuned.freezes and started and is_quiet(measured)) or adapted or memory.lost:
+        memory, model = after.memory, tuned.model
+        started = memory.age >= model.start_samples and memory.steady >= model.start_samples
+        if not (tuned.freezes and started) or memory.lost:
+            return after
+        noise = for_a_frozen_gain(model.noise_ratios(memory.sensors), model.least_noise.tolist())
+        settled = all(ratio == 1.0 or is_sure(s.counted) for ratio, s in zip(noise, memory.sensors, strict=True))
+        if not settled or not is_quiet(measured, least_squares(model, noise)):
             return after
         try:
-            design = self.designs.at(H, memory.tuned_at)
+            design = self.designs.at(H, memory.tuned_at, noise)
         except DesignError:
             return after
-        if not has_converged(tuned.model, memory, design):
+        if not has_converged(model, memory, design):
             return after
-        return replace(after, memory=frozen_memory(tuned.model, memory, design))
+        return replace(after, memory=frozen_memory(model, memory, design, noise))
 
-    def _prepared(self, H: float, tuned_at: float) -> ConvergedStep | None:
-        return converged_step(self.equations, self.parameters, self.designs.at(H, tuned_at), tuned_at)
+    def _prepared(self, H: float, tuned_at: float, noise: tuple[float, ...]) -> ConvergedStep | None:
+        return converged_step(self.tuned(tuned_at).model, self.designs.at(H, tuned_at, noise), tuned_at, noise)
 
     def _model(self, scale: float, jump_spacing: float) -> FilterModel:
         settings = self.settings

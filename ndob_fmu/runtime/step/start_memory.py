@@ -24,6 +24,7 @@ def start_memory(model: FilterModel) -> FilterMemory:
         age=0,
         lost=False,
         converged=False,
+        frozen_noise=(1.0,) * len(model.equations.outputs),
         tuned_at=0.0,
         step=0.0,
         steady=0,

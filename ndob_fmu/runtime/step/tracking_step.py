@@ -87,6 +87,7 @@ def step_with_covariance(
             age=min(memory.age + 1, model.start_samples),
             lost=lost,
             converged=False,
+            frozen_noise=memory.frozen_noise,
             tuned_at=memory.tuned_at,
             step=H,
             steady=min(memory.steady + 1, model.start_samples) if memory.step == H else 0,
