@@ -187,7 +187,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
             "time_update",
         )
     )
-    observer = import_module("ndob_fmu.runtime.step.sampled_observer")
+    tuned = import_module("ndob_fmu.runtime.step.tuned")
     at_sample, inside = np.exp(bank._LOG_PROBABILITIES)
     share = 1.0 / (1.0 + np.exp(-faulty._LOG_ODDS))
     outliers = " or ".join((", ".join(f"α + {_short(v)} R" for v in faulty._OUTLIERS)).rsplit(", ", 1))
@@ -217,7 +217,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"{lag._KEPT} instants are kept over the `lag`",
         f"{late.PLACES} instants are kept; a delay of more than {late._KEPT} steps",
         f"by more than {time._STRAIGHT}/H, the step is taken in 2 to {time._MOST_PARTS} parts",
-        f"at most {observer._AS_GOOD}² times",
+        f"at most {tuned._AS_GOOD}² times",
         f"within {100.0 * fast._NONLINEAR:g} % of the converged ones ({_short(fast._LINEAR)} for",
         f"between {fast._LEAST_SQUARES} and {fast._MOST_SQUARES:g}",
         f"for {sensor.LATE} times the longest usual interval",

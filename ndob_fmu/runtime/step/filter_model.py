@@ -144,6 +144,11 @@ class FilterModel:
         newest[: self.layout.size] = responses.transpose(1, 2, 0).reshape(self.layout.size, -1)
         return signatures_of(newest)
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether ẋ is linear in ξ; not where a parameter is uncertain, because it is multiplied by states."""
+        return not self.equations.f_states and not self.layout.uncertain
+
     @cached_property
     def considers(self) -> bool:
         """Whether there are entries of ξ that samples do not correct."""

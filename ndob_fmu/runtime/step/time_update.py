@@ -83,7 +83,7 @@ def _moved(
 ) -> ErrorColumns:
     """Return the columns a part H (s) of a step later."""
     N, count, noise = model.layout.size, columns.factor_count, done.noise
-    if starting and model.equations.f_states:
+    if starting and not model.is_linear:
         noise = np.concatenate([noise, left_out(model, xi, columns.factor, u, H)], axis=1)
     values = columns.values.copy()
     values[:N] = done.Phi @ columns.values[:N]

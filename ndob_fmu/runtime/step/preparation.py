@@ -1,0 +1,167 @@
+"""What follows from an observer's parameters and settings before its first step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
+from ndob_fmu.runtime.design.augmented import Augmented, augment
+from ndob_fmu.runtime.design.longest_step import longest_step
+from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
+from ndob_fmu.runtime.design.operating_point import middle_input, tangent
+from ndob_fmu.runtime.design.stationary_design import StationaryDesign
+from ndob_fmu.runtime.design.step_designs import StepDesigns
+from ndob_fmu.runtime.design.tuning import Knowledge
+from ndob_fmu.runtime.design.undriven_noise import undriven_noise
+from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.linear_part import LinearPart
+from ndob_fmu.runtime.step.layout import Layout
+from ndob_fmu.runtime.step.settings import ObserverSettings, check_settings
+
+
+@dataclass(frozen=True)
+class PreparedObserver:
+    """An observer at given parameters, for an estimate x̂₀ to start from.
+
+    layout: of ξ
+    noise_std (p,): of the samples, at least their rounding
+    rounding (p,): that rounding
+    undriven (n,): intensity of the noise on states that nothing else drives, over the step
+    designs: the stationary design for each step size, with f as noise
+    tracking: the same with f's slopes at x̂₀ known
+    longest: the longest step (s) that is tried
+    """
+
+    equations: Equations
+    parameters: Vector
+    settings: ObserverSettings
+    layout: Layout
+    noise_std: Array
+    rounding: Array
+    undriven: Array
+    designs: StepDesigns
+    tracking: StepDesigns
+    longest: float
+
+    @property
+    def system(self) -> Augmented:
+        """The plant with the disturbance's derivatives as states."""
+        return self.designs.system
+
+    @property
+    def known(self) -> Knowledge:
+        """What is known of noise and disturbance."""
+        return self.designs.known
+
+    def design(self, H: float) -> StationaryDesign:
+        """Return the stationary design at a step H (s). Raises DesignError where there is none."""
+        return self.designs.at(H).stationary
+
+
+P = TypeVar("P", bound=PreparedObserver)
+
+
+def prepared(kind: type[P], equations: Equations, parameters: Vector, settings: ObserverSettings, x_hat: Vector) -> P:
+    """Return an observer of a kind, for an estimate x̂₀ (n,) to start from.
+
+    Raises DesignError for settings outside their ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
+    """
+    check_settings(settings)
+    order = settings.order
+    bound, rate, std, noise = (
+        np.array(v, dtype=float)
+        for v in (settings.disturbance_bound, settings.disturbance_rate, settings.x_std, settings.sensors.noise_std)
+    )
+    working = linearised(equations, parameters, x_hat, order)
+    # For r = 0 the gain is the paper's, with f as an unknown input.
+    linear = working if equations.matrices is None else equations.linear_part(parameters)
+    if order == 0:
+        require_zeros_left_of(linear, settings.alpha)
+    else:
+        require_zeros_left_of(working, 0.0)
+    # No sample is better than the rounding of a number of its size.
+    size = np.abs(_output(equations, parameters, x_hat, linear.C)) + np.abs(linear.C) @ std
+    rounding = 4.0 * np.finfo(float).eps * size
+    noise = np.maximum(noise, rounding)
+    known = Knowledge(
+        R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate, lipschitz=equations.lipschitz
+    )
+    return kind(
+        equations=equations,
+        parameters=parameters,
+        settings=settings,
+        layout=Layout(
+            n=len(linear.A),
+            q=linear.G_d.shape[1],
+            order=order,
+            biased=tuple(i for i, s in enumerate(settings.sensors.bias_std) if s > 0.0),
+            uncertain=tuple(i for i, s in enumerate(settings.parameter_std) if s > 0.0),
+        ),
+        noise_std=noise,
+        rounding=rounding,
+        undriven=_undriven(working, settings, x_hat),
+        designs=StepDesigns(
+            system=augment(linear, order),
+            known=known,
+            x_std=std,
+            alpha=settings.alpha,
+            pi=settings.pi,
+        ),
+        tracking=StepDesigns(
+            system=augment(working, order),
+            known=replace(known, lipschitz=0.0),
+            x_std=std,
+            alpha=settings.alpha,
+            pi=settings.pi,
+        ),
+        longest=longest_step(equations, linear),
+    )
+
+
+def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector) -> Array:
+    """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ and its error."""
+    if settings.order == 0:
+        return np.zeros(len(linear.A))
+    noise = np.diag(np.array(settings.state_noise, dtype=float))
+    size = np.abs(np.array(x_hat, dtype=float)) + np.array(settings.x_std, dtype=float)
+    return undriven_noise(linear.A, linear.C, np.hstack([linear.G_d, noise]), size, 1.0)
+
+
+def linearised(equations: Equations, parameters: Vector, x_hat: Vector, order: int) -> LinearPart:
+    """Return the plant linearised where it works; its linear part where that cannot be evaluated.
+
+    Raises DesignError outside the paper's form for r = 0, and where the plant cannot be linearised.
+    """
+    found = tangent(equations, parameters, x_hat)
+    if equations.matrices is not None:
+        return equations.linear_part(parameters) if found is None else found
+    if order == 0:
+        raise DesignError.report(
+            "disturbance_order",
+            expected="1, 2 or 3",
+            received="0",
+            likely=f"r = 0 is the paper's design, whose form {equations.name} does not have",
+        )
+    if found is None:
+        raise DesignError.report(
+            f"{equations.name} at the estimate to start from",
+            expected="finite slopes of the derivatives and outputs",
+            received="slopes that cannot be evaluated",
+            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
+        )
+    return found
+
+
+def _output(equations: Equations, parameters: Vector, x_hat: Vector, C: Array) -> Array:
+    """Return the size (p,) of the outputs at x̂₀."""
+    if equations.matrices is not None:
+        return np.asarray(C @ np.array(x_hat, dtype=float))
+    u = middle_input(equations.inputs, equations.ranges)
+    try:
+        return np.array(equations.output(x_hat, u, parameters), dtype=float)
+    except (ArithmeticError, ValueError):
+        return np.zeros(len(C))

@@ -1,0 +1,140 @@
+"""What an observer is tuned to at its first step, which tells H, and when its gain is frozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
+from ndob_fmu.runtime.design.intensity_law import IntensityLaw
+from ndob_fmu.runtime.design.start_up import start_up
+from ndob_fmu.runtime.design.stationary_design import Intensities
+from ndob_fmu.runtime.design.tuning import bandwidth_of, squared_errors
+from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_sure
+from ndob_fmu.runtime.step.converged_step import frozen_memory, has_converged, is_quiet, least_squares
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.filter_state import SampledObserverState
+from ndob_fmu.runtime.step.measurement_update import Measured
+from ndob_fmu.runtime.step.preparation import PreparedObserver
+
+# A frozen gain that takes f for noise is as good as one that follows f's slopes up to this ratio of predicted errors.
+_AS_GOOD = 1.1
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The observer tuned for steps about H (s).
+
+    model: its constants
+    intensities: of the noise at H
+    law: of the intensities for other steps and noises
+    freezes: whether a frozen gain is as good as the running covariance
+    """
+
+    H: float
+    model: FilterModel
+    intensities: Intensities
+    law: IntensityLaw | None
+    freezes: bool
+
+    def intensity(self, H: float, noise: float) -> Array:
+        """Return the intensity (q2,) behind the r-th derivative of d at a step H (s), for σ² larger by a factor."""
+        at_tuned = self.intensities.disturbance * self.intensities.scale**2
+        if self.law is None or (noise == 1.0 and self.H == H):
+            return np.asarray(at_tuned)
+        return np.asarray(at_tuned * self.law.at(H, float(np.sqrt(noise))) / self.law.at(self.H))
+
+
+def tune(observer: PreparedObserver, H: float) -> Tuned:
+    """Return what is tuned for steps about H (s). Raises DesignError where there is no tuning."""
+    if observer.layout.order == 0:
+        intensities = observer.designs.intensities(H)
+        return Tuned(
+            H, filter_model(observer, intensities.scale, 0.0), intensities, None, freezes=_may_freeze(observer)
+        )
+    designs, frozen_error = observer.designs, np.inf
+    try:
+        frozen_error = sum(squared_errors(observer.designs.at(H).stationary, observer.known))
+    except DesignError:
+        designs = observer.tracking
+    error = np.inf
+    try:
+        error = sum(squared_errors(observer.tracking.at(H).stationary, observer.known))
+        intensities = observer.tracking.intensities(H)
+        designs = observer.tracking
+    except DesignError:
+        intensities = designs.intensities(H)
+    freezes = frozen_error <= _AS_GOOD**2 * error and frozen_error < np.inf
+    if freezes:
+        intensities = observer.designs.intensities(H)
+    bandwidth = bandwidth_of(observer.tracking.system, H, float(intensities.disturbance[0]), observer.known)
+    return Tuned(
+        H,
+        filter_model(observer, intensities.scale, 0.25 / bandwidth),
+        intensities,
+        designs.law(H),
+        freezes=freezes and _may_freeze(observer),
+    )
+
+
+def _may_freeze(observer: PreparedObserver) -> bool:
+    """Return whether a constant gain can do all that the observer was asked for."""
+    settings, layout = observer.settings, observer.layout
+    plain = not (
+        layout.biased
+        or layout.uncertain
+        or any(settings.sensors.delay)
+        or any(settings.state_noise)
+        or any(observer.undriven)
+    )
+    # Outside the paper's form no constant matrices hold wherever the plant is.
+    return plain and settings.lag == 0.0 and observer.equations.matrices is not None
+
+
+def filter_model(observer: PreparedObserver, scale: float, jump_spacing: float) -> FilterModel:
+    """Return the observer's constants, for a factor on the standard deviations of all noises and a spacing (s)."""
+    settings = observer.settings
+    start = start_up(observer.system, observer.known, np.array(settings.x_std, dtype=float))
+    return FilterModel(
+        equations=observer.equations,
+        parameters=observer.parameters,
+        settings=settings,
+        layout=observer.layout,
+        noise_variance=(observer.noise_std * scale) ** 2,
+        scale=scale,
+        start_std=np.concatenate(
+            [
+                np.diag(start.factor),
+                [settings.sensors.bias_std[i] for i in observer.layout.biased],
+                [settings.parameter_std[i] for i in observer.layout.uncertain],
+            ]
+        ),
+        undriven=observer.undriven,
+        least_noise=np.ones(len(observer.noise_std))
+        if scale > 1.0
+        else np.maximum((observer.rounding / observer.noise_std) ** 2, LEAST_RATIO),
+        jump_spacing=jump_spacing,
+    )
+
+
+def frozen(
+    observer: PreparedObserver, tuned: Tuned, after: SampledObserverState, measured: Measured, H: float
+) -> SampledObserverState:
+    """Return the state with a frozen gain, where that is as good from now on."""
+    memory, model = after.memory, tuned.model
+    started = memory.age >= model.start_samples and memory.steady >= model.start_samples
+    if not (tuned.freezes and started) or memory.lost:
+        return after
+    noise = for_a_frozen_gain(model.noise_ratios(memory.sensors), model.least_noise.tolist())
+    settled = all(ratio == 1.0 or is_sure(s.counted) for ratio, s in zip(noise, memory.sensors, strict=True))
+    if not settled or not is_quiet(measured, least_squares(model, noise)):
+        return after
+    try:
+        design = observer.designs.at(H, memory.tuned_at, noise)
+    except DesignError:
+        return after
+    if not has_converged(model, memory, design):
+        return after
+    return replace(after, memory=frozen_memory(model, memory, design, noise))
