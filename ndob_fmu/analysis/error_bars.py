@@ -6,7 +6,8 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.operating_point import middle_input
-from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from ndob_fmu.runtime.step.converged_step import disturbance_std
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver, without_adaptation
 
 _MOST_STEPS = 1000
 _START = 4  # samples for each entry of the observer's state, before which its error bars are not judged
@@ -17,11 +18,14 @@ _SETTLED = 1e-3
 def settled_error_bars(observer: SampledObserver, x_hat: Array, H: float) -> tuple[Array, Array]:
     """Return the error bars (q2,) of d̂ a step ahead and of the lagged d̂ once they have settled, at steps of H (s).
 
-    The plant moves as the observer predicts it from x̂₀ (n,), with inputs in the middle of their ranges, or
-    0. Each sample is off by half its noise, with
-    alternating signs: equal samples would pass for those of a stuck sensor. After 1000 steps the error bars are taken
-    as they are.
+    Where the gain freezes they are known from its design. Elsewhere they come from a run, in which the plant moves as
+    the observer predicts it from x̂₀ (n,), with inputs in the middle of their ranges, or 0. Each sample is off by half
+    its noise, with alternating signs: equal samples would pass for those of a stuck sensor. The noise does not adapt to
+    that. After 1000 steps the error bars are taken as they are.
     """
+    if observer.tuned(H).freezes:
+        return disturbance_std(observer.designs.at(H, H))
+    observer = without_adaptation(observer)
     u = middle_input(observer.equations.inputs, observer.equations.ranges)
     nothing = (0.0,) * len(observer.equations.outputs)
     state = observer.init(x_hat.tolist())

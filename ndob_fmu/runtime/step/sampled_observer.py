@@ -233,3 +233,9 @@ def sampled_observer(
     Raises DesignError for settings outside their ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
     """
     return prepared(SampledObserver, equations, parameters, settings, x_hat)
+
+
+def without_adaptation(observer: SampledObserver) -> SampledObserver:
+    """Return the same observer, whose noise stays as told."""
+    settings = replace(observer.settings, adapt_noise=False)
+    return replace(observer, settings=settings, _tuned=LatestResult(), _converged=LatestResult())
