@@ -212,6 +212,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"within {bank.LONG_AGO} samples",
         f"over about {noise._MEMORY:g} samples replaces",
         f"by ({sensor._CLEAR:g} R/α)²",
+        f"only while R is at least {sensor.MOST} α",
         f"has come {noise._SEEN:g} times, to {_short(noise._EQUAL)} of it",
         f"at most {noise._LONGEST_ROW - 1:g} of {noise._LONGEST_ROW:g}",
         f"{lag._KEPT} instants are kept over the `lag`",

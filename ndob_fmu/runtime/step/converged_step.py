@@ -19,6 +19,7 @@ from ndob_fmu.runtime.step.filter_state import FilterMemory
 from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS, LENGTH, full_bank
 from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import numbers
+from ndob_fmu.runtime.step.sensor_memory import MOST
 
 # The gain is frozen once no standard deviation exceeds the converged one by this part: where the plant is linear, and
 # where its slopes, and with them the covariance, keep moving.
@@ -69,7 +70,7 @@ def converged_step(
         H=design.H,
         tuned_at=tuned_at,
         noise=noise,
-        least_squares=least_squares(model, noise),
+        least_squares=least_squares(model, noise, design),
         design=design,
         observer_step=equations.steps.observer_step,
         constants=constants,
@@ -106,14 +107,17 @@ def disturbance_std(design: StepDesign) -> tuple[Array, Array]:
     return np.minimum(share * ahead, bound), np.minimum(share * at_sample, bound)
 
 
-def least_squares(model: FilterModel, noise: Vector) -> tuple[float, ...]:
+def least_squares(model: FilterModel, noise: Vector, design: StepDesign) -> tuple[float, ...]:
     """Return averages (p,) of squared innovations over their variance, below which the noise should adapt.
 
-    noise (p,): factors on the variances of the samples. The average is 0 where they are the least possible.
+    noise (p,): factors on the variances of the samples in the design. The average is 0 where they are the least
+    possible, or too small a part of the innovations to become smaller.
     """
-    least = model.least_noise.tolist()
+    stationary = design.stationary
+    alpha, R = squared_norms(stationary.update.innovation_factor), squared_norms(stationary.sample_factor)
     return tuple(
-        _LEAST_SQUARES if model.adapts and used > smallest else 0.0 for used, smallest in zip(noise, least, strict=True)
+        _LEAST_SQUARES if model.adapts and used > smallest and can else 0.0
+        for used, smallest, can in zip(noise, model.least_noise.tolist(), (MOST * alpha <= R).tolist(), strict=True)
     )
 
 

@@ -15,6 +15,9 @@ _MOST_DEBT = 10.0
 _DEBT_LEFT = 0.5
 # Innovations tell of the noise where it makes more than this part of their variance.
 _CLEAR = 6.0
+# They make the noise smaller than it was told only where it makes more than this part: a disturbance that is calmer
+# than its bounds makes innovations small too.
+MOST = 0.5
 # Normalised innovations are averaged over so many samples. What exceeds their mean tells of the noise, the mean of the
 # model.
 _LATEST = 10.0
@@ -113,9 +116,12 @@ def _followed(sensor: SensorMemory, sample: Innovation, residual: float, roundin
     if not sample.learns:
         return sensor.noise_ratio, sensor.counted
     weight = min(1.0, (_CLEAR * sample.noise / sample.alpha) ** 2)
-    counted, told = sensor.counted + weight, sample.told
+    told = sample.told
     product = (sample.e - sensor.mean * sqrt(sample.alpha)) * residual
+    counted = sensor.counted + weight
     ratio = averaged(sensor.noise_ratio, counted, product / told, sample.alpha / told, weight)
+    if sample.noise < MOST * sample.alpha:
+        ratio = max(ratio, min(sensor.noise_ratio, 1.0))
     return max(ratio, rounding / told), counted
 
 

@@ -129,12 +129,12 @@ def frozen(
         return after
     noise = for_a_frozen_gain(model.noise_ratios(memory.sensors), model.least_noise.tolist())
     settled = all(ratio == 1.0 or is_sure(s.counted) for ratio, s in zip(noise, memory.sensors, strict=True))
-    if not settled or not is_quiet(measured, least_squares(model, noise)):
+    if not settled or measured.suspicious:
         return after
     try:
         design = observer.designs.at(H, memory.tuned_at, noise)
     except DesignError:
         return after
-    if not has_converged(model, memory, design):
+    if not (is_quiet(measured, least_squares(model, noise, design)) and has_converged(model, memory, design)):
         return after
     return replace(after, memory=frozen_memory(model, memory, design, noise))
