@@ -6,7 +6,7 @@ The peer is an empty slave built by pythonfmu as it is: the same variables as at
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,8 +81,8 @@ class Cycled:
 
 
 @contextmanager
-def instance(path: Path, samples: list[list[float]]) -> Iterator[Cycled]:
-    """Give a new instance after its initialization."""
+def instance(path: Path, samples: list[list[float]], told: Mapping[str, float] | None = None) -> Iterator[Cycled]:
+    """Give a new instance after its initialization; told: start values of parameters."""
     description, folder = read_model_description(path), extract(path)
     fmu = FMU2Slave(
         guid=description.guid,
@@ -100,6 +100,9 @@ def instance(path: Path, samples: list[list[float]]) -> Iterator[Cycled]:
     fmu.setupExperiment(startTime=0.0)
     fmu.enterInitializationMode()
     fmu.setReal(references["input"], samples[0])
+    for variable in description.modelVariables:
+        if told and variable.name in told:
+            fmu.setReal([variable.valueReference], [told[variable.name]])
     fmu.exitInitializationMode()
     try:
         yield Cycled(fmu, references["input"], references["output"], samples)
