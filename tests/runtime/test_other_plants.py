@@ -10,7 +10,7 @@ from benchmarks.estimator.ours import ours_of
 from benchmarks.estimator.plants import CYLINDER, JOINT, MOTOR
 from benchmarks.estimator.records import simulate
 from benchmarks.estimator.scores import score
-from benchmarks.estimator.statement_rows import told_noise
+from benchmarks.estimator.statement_rows import EXACT_SIGMA, drawn, told_noise
 
 
 def test_noise_that_is_larger_than_told_is_not_taken_for_jumps_of_the_disturbance():
@@ -54,3 +54,26 @@ def test_a_disturbance_that_is_calmer_than_its_bounds_does_not_make_the_noise_sm
     """Innovations are a fifth of their standard deviations. With a third of the noise good samples are refused."""
     record = simulate(CYLINDER, 2e-2, (seed,))
     assert score(record, ours_of(record)).rms <= 0.0032
+
+
+@pytest.mark.parametrize("seed", [5, 7, 13])
+def test_samples_that_only_a_wrong_model_makes_look_faulty_are_used(seed):
+    """Four plants with parameters 10 % off that nobody told. Innovations of 30 standard deviations come gradually.
+
+    An extended Kalman filter that uses every sample has .003 to .0045.
+    """
+    record = drawn(CYLINDER, (seed,))
+    told = told_noise(CYLINDER, np.full(len(CYLINDER.C), EXACT_SIGMA))
+    found = score(record, ours_of(record, **told))
+    assert found.rms <= 0.006
+    assert found.covered >= 0.9
+    assert found.valid == 1.0
+
+
+def test_with_order_0_the_disturbance_in_the_innovations_is_not_taken_for_faulty_samples():
+    """Each innovation carries all of d. Refused samples left an error of 0.8 with `valid` false in a tenth of them."""
+    record = simulate(MOTOR, 2e-2, (1, 2, 3))
+    found = score(record, ours_of(record, disturbance_order=0))
+    assert found.rms <= 0.1
+    assert found.covered >= 0.9
+    assert found.valid == 1.0

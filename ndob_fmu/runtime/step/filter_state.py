@@ -47,6 +47,9 @@ class SensorMemory:
     debt: how improbable the refused samples are, in nats; falls with each sample that is used.
     skipped, drift: mean square and mean of the innovations that were refused.
     mean: of the latest innovations, each over its standard deviation.
+    last, last_variance: the last innovation, but for those far away that were refused, and its variance, ∞
+        before the first one.
+    usual: mean square of the latest innovations that were used, each over its standard deviation.
     waited: time since the last sample that was used (s).
     interval: the longest usual time between two samples that are used (s).
     """
@@ -61,6 +64,9 @@ class SensorMemory:
     skipped: float = 0.0
     drift: float = 0.0
     mean: float = 0.0
+    last: float = 0.0
+    last_variance: float = inf
+    usual: float = 1.0
     waited: float = 0.0
     interval: float = 0.0
 
@@ -159,12 +165,24 @@ def is_possible(memory: FilterMemory) -> bool:
     )
 
 
+_UNKNOWN_AT_FIRST = ("resolution", "last_variance")
+
+
 def _is_possible_sensor(sensor: SensorMemory) -> bool:
-    numbers = (getattr(sensor, field.name) for field in fields(sensor) if field.name != "resolution")
-    not_negative = (sensor.noise_ratio, sensor.counted, sensor.alike, sensor.debt, sensor.waited, sensor.interval)
+    numbers = (getattr(sensor, field.name) for field in fields(sensor) if field.name not in _UNKNOWN_AT_FIRST)
+    not_negative = (
+        sensor.noise_ratio,
+        sensor.counted,
+        sensor.alike,
+        sensor.debt,
+        sensor.usual,
+        sensor.waited,
+        sensor.interval,
+    )
     return (
         all(map(isfinite, numbers))
         and min(not_negative) >= 0.0
         and sensor.resolution > 0.0
+        and sensor.last_variance > 0.0
         and 0.0 <= sensor.repeat_rate <= 1.0
     )

@@ -34,7 +34,14 @@ from ndob_fmu.runtime.step.jump_bank import (
     one_more_sample,
 )
 from ndob_fmu.runtime.step.prediction import Prediction, predicted
-from ndob_fmu.runtime.step.sensor_memory import Innovation, after_jump, after_refused, after_used, latest_mean
+from ndob_fmu.runtime.step.sensor_memory import (
+    Innovation,
+    after_jump,
+    after_refused,
+    after_used,
+    goes_on,
+    latest_mean,
+)
 
 
 @dataclass(frozen=True)
@@ -131,7 +138,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             )
             if verdict.refused and starting and not repeats[i] and seen.alpha > seen.noise:
                 now, seen = _with_larger_error(now, seen)
-            elif verdict.refused:
+            elif verdict.refused and (repeats[i] or not goes_on(before, seen.e, seen.alpha)):
                 refused, fault = verdict, True
         tells = Innovation(
             e=seen.e,

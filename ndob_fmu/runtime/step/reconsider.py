@@ -81,9 +81,10 @@ def reconsidered(
             grown = max(grown, ratio / ratios[i])
         elif biased or refuted:
             own = spread(rows[i], memory.columns.factor)
-            square = sensor.skipped if refuted else sensor.mean**2 * (own + used[i])
             if own > 0.0:
-                growth = max(growth, (0.25 * square - used[i]) / own, _LEAST_GROWTH)
+                # The mean is one of limited numbers. It says that P is too small, not how much.
+                needed = (0.25 * sensor.skipped - used[i]) / own if refuted else 0.0
+                growth = max(growth, needed, _LEAST_GROWTH)
         after.append(replace(before, noise_ratio=ratio, counted=counted, debt=0.0, refused=False, mean=0.0))
     growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
     factor = start_factor(model) if growth > _LOST else memory.columns.factor * growth

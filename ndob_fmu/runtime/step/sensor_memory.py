@@ -8,6 +8,7 @@ from math import sqrt
 
 from ndob_fmu.runtime.generated_steps import MEMORY
 from ndob_fmu.runtime.step.adaptive_noise import averaged, of_rounding, smallest_change
+from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS
 from ndob_fmu.runtime.step.filter_state import SensorMemory
 
 # What a refused sample adds at most to an output's debt, and what a used one leaves of it.
@@ -22,6 +23,9 @@ MOST = 0.5
 # model.
 _LATEST = 10.0
 _LIMIT = 4.0
+# An innovation follows the one before that is not smaller by more than this factor. What a refused sample left counts
+# as one before up to so many standard deviations. Innovations that are too large on average are too large as a rule.
+_FOLLOWS, _NEAR, _RULE = 2.5, 10.0, 2.0
 LATE = 1.5  # the estimate counts as valid for so many of the usual intervals between samples
 
 
@@ -29,6 +33,16 @@ def latest_mean(sensor: SensorMemory, e: float, alpha: float) -> float:
     """Return the mean of the latest innovations, over their standard deviations, with e of variance α."""
     normalised = min(max(e / sqrt(alpha), -_LIMIT), _LIMIT)
     return sensor.mean + (normalised - sensor.mean) / _LATEST
+
+
+def goes_on(sensor: SensorMemory, e: float, alpha: float) -> bool:
+    """Return whether an innovation e of variance α goes on as those before, as a wrong model makes them.
+
+    Faults come suddenly. What grows on one side, or was large all the time, is the model's error.
+    """
+    before = sensor.last * max(1.0, sqrt(alpha / sensor.last_variance))
+    follows = before * e > 0.0 and abs(e) <= _FOLLOWS * abs(before)
+    return follows or (sensor.usual > _RULE and e * e <= SUSPICIOUS**2 * sensor.usual * alpha)
 
 
 def _repeat_rate(sensor: SensorMemory, repeats: bool) -> float:
@@ -74,6 +88,9 @@ def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> Sen
         skipped=sensor.skipped,
         drift=sensor.drift,
         mean=sample.mean,
+        last=sample.e,
+        last_variance=sample.alpha,
+        usual=sensor.usual + (sample.e**2 / sample.alpha - sensor.usual) / _LATEST,
         waited=0.0,
         interval=max(sensor.waited, sensor.interval * (1.0 - 0.5 / MEMORY)),
     )
@@ -86,6 +103,7 @@ def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *,
     stuck: whether a sensor of this sample is stuck
     """
     e, fresh = sample.e, sensor.debt == 0.0
+    near = sample.e**2 <= _NEAR**2 * sample.alpha
     repeat_rate = _repeat_rate(sensor, sample.repeats)
     resolution, alike = smallest_change(sensor.resolution, sensor.alike, abs(sample.change))
     rounding = of_rounding(resolution, alike, repeat_rate)
@@ -103,6 +121,9 @@ def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *,
         skipped=e * e if fresh else 0.5 * (sensor.skipped + e * e),
         drift=e if fresh else 0.5 * (sensor.drift + e),
         mean=sample.mean,
+        last=sample.e if near else sensor.last,
+        last_variance=sample.alpha if near else sensor.last_variance,
+        usual=sensor.usual,
         waited=sensor.waited,
         interval=sensor.interval,
     )
@@ -143,6 +164,9 @@ def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
         skipped=sensor.skipped,
         drift=sensor.drift,
         mean=sensor.mean,
+        last=sensor.last,
+        last_variance=sensor.last_variance,
+        usual=sensor.usual,
         waited=sensor.waited + H,
         interval=sensor.interval if sensor.interval > 0.0 else H,
     )
