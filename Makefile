@@ -21,6 +21,7 @@ lint: .venv/installed-test
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.gallery
 	$(BIN)/python -m benchmarks.disturbance_rejection
 	$(BIN)/python -m benchmarks.native_calls
 	$(BIN)/python -m benchmarks.performance

@@ -1,7 +1,7 @@
 """Our own extended Kalman filter over any record: time-varying, one output at a time, over B records at once.
 
-It shares no code with the package. ξ = [x; d; ḋ; …] with r integrated disturbances, N = n + r q, and white noise of one
-intensity behind d^{(r)}.
+It shares no code with the package. ξ = [x; d; ḋ; …] with r integrated disturbances, N = n + r q, and white noise behind
+each d^{(r)}. Its intensity is in proportion to D₀².
 
     update     for each output that has a sample:  K = P hᵀ/(h P hᵀ + σ²),  ξ̂ += K (y − h ξ̂),  P by Joseph's form
     predict    ξ̂ by Runge–Kutta;  P⁻ = Φ P Φᵀ + Q,  Φ and Q by Van Loan from ∂F/∂ξ at ξ̂
@@ -29,7 +29,7 @@ class ExtendedKalmanFilter:
     """The filter of a plant for B records.
 
     order: r ≥ 1
-    intensity: of the white noise behind d^{(r)}, a number or one for each record (B,)
+    intensity: of the white noise behind d^{(r)} of the first disturbance, a number or one for each record (B,)
     sigma: (p,), by default the plant's
     """
 
@@ -44,14 +44,17 @@ class ExtendedKalmanFilter:
         parameters: Mapping[str, Any] | None = None,
     ) -> None:
         self.plant, self.order, self.n = plant, order, len(plant.x0)
-        self.N = N = self.n + order
+        self.q = q = len(plant.bounds)
+        self.N = N = self.n + order * q
         self.parameters = {**plant.parameters, **(parameters or {})}
-        self.C = np.hstack([plant.C, np.zeros((len(plant.C), order))])
+        self.C = np.hstack([plant.C, np.zeros((len(plant.C), order * q))])
         self.R = (plant.sigma if sigma is None else sigma) ** 2
         self.intensity = np.broadcast_to(np.asarray(intensity, dtype=float), (batch,))
         # The prior of d and its derivatives: a sine at the bound and the declared pace.
-        self.scale = np.concatenate([plant.x_std, plant.bound * (2.0 * pi * plant.pace) ** np.arange(order)])
-        self.xi = np.tile(np.concatenate([plant.x_hat, np.zeros(order)]), (batch, 1))
+        derivatives = [plant.bounds * (2.0 * pi * plant.pace) ** i for i in range(order)]
+        self.scale = np.concatenate([plant.x_std, *derivatives])
+        nominal = np.broadcast_to(plant.nominal, q)
+        self.xi = np.tile(np.concatenate([plant.x_hat, nominal, np.zeros((order - 1) * q)]), (batch, 1))
         self.P = np.tile(np.diag(self.scale**2), (batch, 1, 1))
         self.Phi = self.P
         self.lost = np.zeros(batch, dtype=bool)
@@ -60,13 +63,13 @@ class ExtendedKalmanFilter:
 
     @property
     def d(self) -> Array:
-        """d̂ (B,1), NaN where the filter has diverged."""
-        return np.where(self.lost[:, None], np.nan, self.xi[:, self.n : self.n + 1])
+        """d̂ (B,q), NaN where the filter has diverged."""
+        return np.where(self.lost[:, None], np.nan, self.xi[:, self.n : self.n + self.q])
 
     @property
     def d_std(self) -> Array:
-        """The standard deviation of d̂ (B,1)."""
-        return np.asarray(np.sqrt(self.P[:, self.n, self.n]))[:, None]
+        """The standard deviation of d̂ (B,q)."""
+        return np.asarray(np.sqrt(np.diagonal(self.P, axis1=1, axis2=2)[:, self.n : self.n + self.q]))
 
     def update(self, y: Array) -> None:
         """Take in samples (B,p); entries that are NaN were not measured."""
@@ -102,12 +105,12 @@ class ExtendedKalmanFilter:
     def motion(self, xi: Array, u: Array, h: float) -> Array:
         """Return what becomes of ξ (…,N) in h (s) with the input u (…,m), the disturbance a polynomial."""
         n, plant = self.n, self.plant
-        x, derivatives = xi[:, :n], xi[:, n:]
+        x, derivatives = xi[:, :n], xi[:, n:].reshape(len(xi), self.order, self.q)
         substeps = ceil(h / (_COARSER * plant.substep) - 1e-9)
         step = h / substeps
 
         def d(t: float) -> Array:
-            return np.asarray(sum(derivatives[:, i : i + 1] * t**i / factorial(i) for i in range(self.order)))
+            return np.asarray(sum(derivatives[:, i] * t**i / factorial(i) for i in range(self.order)))
 
         for i in range(substeps):
             begin, middle, end = d(i * step), d((i + 0.5) * step), d((i + 1) * step)
@@ -123,27 +126,26 @@ class ExtendedKalmanFilter:
 
     def jacobian(self, u: Array) -> Array:
         """Return ∂F/∂ξ (B,N,N) at ξ̂, by complex steps, which are exact to rounding."""
-        n, batch = self.n, len(self.xi)
-        directions = _COMPLEX_STEP * 1j * np.eye(n + 1)
-        points = self.xi[:, None, : n + 1] + directions
+        n, m, batch = self.n, self.n + self.q, len(self.xi)
+        points = self.xi[:, None, :m] + _COMPLEX_STEP * 1j * np.eye(m)
         slopes = self.plant.slope(points[..., :n], u[:, None, :], points[..., n:], self.parameters)
         F = np.zeros((batch, self.N, self.N))
-        F[:, :n, : n + 1] = np.swapaxes(np.imag(slopes) / _COMPLEX_STEP, 1, 2)
-        F[:, n:, n:] = np.eye(self.order, k=1)
+        F[:, :n, :m] = np.swapaxes(np.imag(slopes) / _COMPLEX_STEP, 1, 2)
+        F[:, n:, n:] = np.eye(self.order * self.q, k=self.q)
         return F
 
     def _discretised(self, u: Array, h: float) -> tuple[Array, Array]:
         """Return Φ and Q (B,N,N), Van Loan (1978), in states of size one."""
-        N, scale = self.N, self.scale
+        N, q, scale = self.N, self.q, self.scale
         F = self.jacobian(u) * scale / scale[:, None]
         block = np.zeros((len(F), 2 * N, 2 * N))
         block[:, :N, :N] = -h * F
-        block[:, N - 1, 2 * N - 1] = 1.0
+        block[:, N - q : N, 2 * N - q :] = np.eye(q)  # D₀² is in the scales
         block[:, N:, N:] = h * np.swapaxes(F, 1, 2)
         whole = exponential(block)
         Phi = np.swapaxes(whole[:, N:, N:], 1, 2)
         Q = Phi @ whole[:, :N, N:]
-        size = self.intensity * h / scale[-1] ** 2
+        size = self.intensity * h / scale[-q] ** 2
         return Phi * scale[:, None] / scale, size[:, None, None] * Q * scale[:, None] * scale
 
 
@@ -179,14 +181,14 @@ def ekf(
     delay: s, by which every sample of the record is late; the filter knows it and is the best there is: it lives at the
     times of the samples and predicts from there.
 
-    Returns at, ahead, std (B,K,1) as `ours_of` does.
+    Returns at, ahead, std (B,K,q) as `ours_of` does.
     """
     plant = record.plant
     if intensity is None:
         intensity = tuned_intensity(plant, record.H, order)
     batch, count = record.Y.shape[:2]
     filter_ = kind(plant, batch, order=order, intensity=intensity, sigma=sigma, parameters=parameters)
-    at, ahead, std = np.full((3, batch, count, 1), np.nan)
+    at, ahead, std = np.full((3, batch, count, len(plant.bounds)), np.nan)
     edges = np.concatenate([record.t, [record.t[-1] + record.steps[-1]]])
     now = 0.0
     for k in range(count):
@@ -283,7 +285,7 @@ def _copy(filter_: ExtendedKalmanFilter) -> ExtendedKalmanFilter:
 
 @cache
 def tuned_intensity(plant: Plant, H: float, order: int, sigma: tuple[float, ...] | None = None) -> float:
-    """Return the intensity with the least error for a sine at the declared bound and pace, over records of its own.
+    """Return the intensity with the least error for sines at the declared bound and pace, over records of its own.
 
     That is the least favourable signal of the class that ours is told too; the records of the scores have half of it.
     """
@@ -296,7 +298,8 @@ def tuned_intensity(plant: Plant, H: float, order: int, sigma: tuple[float, ...]
     wide = Record(plant, record.seeds, record.t, record.steps, U, Y, record.d, record.d_end, record.disturbance)
     at = ekf(wide, order=order, intensity=np.tile(grid, len(seeds)), sigma=noise)["at"]
     begin = int(0.3 * len(record.t))
-    squared = np.mean((at - record.d)[:, begin:, 0] ** 2, axis=1).reshape(len(seeds), -1).mean(axis=0)
+    squared = np.mean(((at - record.d) / plant.bounds)[:, begin:] ** 2, axis=(1, 2))
+    squared = squared.reshape(len(seeds), -1).mean(axis=0)
     squared = np.where(np.isfinite(squared), squared, np.inf)
     best = int(np.clip(np.argmin(squared), 1, len(grid) - 2))
     three = np.log(squared[best - 1 : best + 2])

@@ -16,6 +16,7 @@ from fmus.observer_slave import ObserverSlave
 from fmus.plant_slave import PlantSlave
 from fmus.slave_base import Slave
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.runtime.equations import Equations
 
 Estimates = dict[str, Array]
@@ -104,8 +105,11 @@ def parameters_of(plant: Plant, **others: Any) -> dict[str, Any]:
     told |= {f"{x}_hat_start": float(v) for x, v in zip(model.states, plant.x_hat, strict=True)}
     told |= {f"{x}_hat_start_std": float(v) for x, v in zip(model.states, plant.x_std, strict=True)}
     order = int(others.get("disturbance_order", 2))
-    told |= {"method": 2, "disturbance_order": order, "disturbance_bound": plant.bound}
-    return told | {"disturbance_rate": plant.rate(order)} | others
+    told |= {"method": 2, "disturbance_order": order}
+    for label, values in {"disturbance_bound": plant.bounds, "disturbance_rate": plant.rates(order)}.items():
+        names = for_each_disturbance(label, tuple(model.disturbances)).values()
+        told |= dict(zip(names, values.tolist(), strict=True))
+    return told | others
 
 
 def ours(plant: Plant, H: float, U: Array, Y: Array, T: Array | None = None, **fmu_parameters: Any) -> Estimates:

@@ -32,7 +32,7 @@ Control = Callable[[float, Array, dict[str, Array], float], Array]
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A plant with all that its observers are told. Its disturbance is one sine of amplitude D₀/2.
+    """A plant with all that its observers are told. Its disturbances are sines of amplitude D₀/2.
 
     model: returns the model, from which the FMU is made
     slope: ẋ(x (…,n), u (…,m), d (…,q), parameters) by hand, also for complex x
@@ -40,10 +40,12 @@ class Plant:
     C: (p,n), the outputs
     x0, x_hat, x_std: (n,), the start, its estimate, and that estimate's standard deviation
     sigma: (p,), standard deviation of the noise in a sample
-    bound: D₀
-    pace: Hz, of the sine, and of the class in which the disturbance is declared: |d^{(r)}| ≤ D₀ (2π pace)^r
+    bound: D₀, a number or (q,)
     substep: s, the longest step of the integration by Runge–Kutta
     stop_time: s, of a record
+    pace: Hz, of the sines, and of the class in which a disturbance is declared: |d^{(r)}| ≤ D₀ (2π pace)^r
+    nominal: value about which a disturbance is small, a number or (q,)
+    resolution: (p,), to which samples are rounded, 0 for none; None for none at all. A rounded one has no other noise
     """
 
     name: str
@@ -56,14 +58,32 @@ class Plant:
     x_hat: Array
     x_std: Array
     sigma: Array
-    bound: float
+    bound: float | Array
     substep: float
     stop_time: float
     pace: float = 1.0
+    nominal: float | Array = 0.0
+    resolution: Array | None = None
+
+    @property
+    def bounds(self) -> Array:
+        """D₀ (q,)."""
+        return np.atleast_1d(self.bound)
+
+    def rates(self, order: int) -> Array:
+        """Return the declared bounds of the r-th derivatives (q,), of the first ones for r = 0."""
+        return np.asarray(self.bounds * (2.0 * pi * self.pace) ** max(order, 1))
 
     def rate(self, order: int) -> float:
-        """Return the declared bound of the r-th derivative, of the first for r = 0."""
-        return float(self.bound * (2.0 * pi * self.pace) ** max(order, 1))
+        """Return that of the first disturbance."""
+        return float(self.rates(order)[0])
+
+    def sampled(self, y: Array, noise: Array) -> Array:
+        """Return samples of the outputs y (…,p), with noise (…,p) where they are not rounded."""
+        if self.resolution is None:
+            return y + noise
+        width = np.where(self.resolution > 0.0, self.resolution, 1.0)
+        return np.where(self.resolution > 0.0, width * np.round(y / width), y + noise)
 
 
 def _slope(*rows: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.estimator.plants import Array, Plant, Slope
 
-Disturbance = Callable[[float], float]
+Disturbance = Callable[[float], Any]  # one number or (q,)
 _BEFORE = 1.0 - 1e-12  # of a substep: a disturbance that jumps at its end has not done so yet
 
 
@@ -21,7 +21,7 @@ class Record:
 
     U (B,K,m): the input held over each step
     Y (B,K,p): the samples; NaN where there is none
-    d, d_end (K,1): the disturbance at t and at the end of the step
+    d, d_end (K,q): the disturbances at t and at the end of the step
     disturbance: d(t)
     """
 
@@ -46,8 +46,9 @@ class Record:
 
 
 def sine(plant: Plant, amplitude: float = 0.5) -> Disturbance:
-    """Return a sine at the plant's pace with an amplitude in D₀."""
-    return lambda t: amplitude * plant.bound * float(np.sin(2.0 * pi * plant.pace * t))
+    """Return sines about the nominal values at the plant's pace, with an amplitude in D₀ and a radian between them."""
+    behind = np.arange(len(plant.bounds))
+    return lambda t: plant.nominal + amplitude * plant.bounds * np.sin(2.0 * pi * plant.pace * t - behind)
 
 
 def jump(plant: Plant, begin: float, end: float, at: float) -> Disturbance:
@@ -92,7 +93,7 @@ def simulate(
     memory: dict[str, Array] = {}
     for k in range(count):
         path[:, k * substeps] = x
-        u = plant.control(float(t[k]), x @ plant.C.T + noise[:, k], memory, float(steps[k]))
+        u = plant.control(float(t[k]), plant.sampled(x @ plant.C.T, noise[:, k]), memory, float(steps[k]))
         inputs.append(u)
         h = float(steps[k]) / substeps
         for i in range(substeps):
@@ -100,20 +101,22 @@ def simulate(
             path[:, k * substeps + i + 1] = x
     if not np.all(np.isfinite(path)):
         raise ValueError(f"{plant.name}: expected a bounded motion, received one that diverges")
-    samples = np.empty((batch, count, p))
+    outputs = np.empty((batch, count, p))
+    missing = np.zeros((count, p), dtype=bool)
     for i, delay in enumerate(delays or [0.0] * p):
         behind = round(delay / (float(steps[0]) / substeps))
         at = np.arange(count) * substeps - behind
-        samples[:, :, i] = path[:, np.maximum(at, 0)] @ plant.C[i] + noise[:, :, i]
-        samples[:, at < 0, i] = np.nan
-    d = np.array([[disturbance(float(time))] for time in t])
+        outputs[:, :, i] = path[:, np.maximum(at, 0)] @ plant.C[i]
+        missing[:, i] = at < 0
+    samples = np.where(missing, np.nan, plant.sampled(outputs, noise))
+    d = np.array([np.atleast_1d(disturbance(float(time))) for time in t])
     return Record(plant, tuple(seeds), t[:-1], steps, np.stack(inputs, axis=1), samples, d[:-1], d[1:], disturbance)
 
 
 def _runge_kutta_step(
     slope: Slope, x: Array, u: Array, disturbance: Disturbance, t: float, h: float, values: Mapping[str, Any]
 ) -> Array:
-    first, middle, last = (np.array([disturbance(t + share * h)]) for share in (0.0, 0.5, _BEFORE))
+    first, middle, last = (np.atleast_1d(disturbance(t + share * h)) for share in (0.0, 0.5, _BEFORE))
     k1 = slope(x, u, first, values)
     k2 = slope(x + 0.5 * h * k1, u, middle, values)
     k3 = slope(x + 0.5 * h * k2, u, middle, values)

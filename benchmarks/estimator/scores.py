@@ -39,7 +39,7 @@ def score(record: Record, found: dict[str, Array], begin: float = STEADY_FROM) -
     if "std" in found:
         ahead = np.abs(found["ahead"] - record.d_end)[:, first:]
         values["covered"] = float(np.mean(ahead <= 2.0 * found["std"][:, first:]))
-        values["largest_std"] = float(np.max(found["std"])) / bound
+        values["largest_std"] = float(np.max(found["std"] / bound))
     if "valid" in found:
         valid = found["valid"][:, first:]
         values["valid"] = float(np.mean(valid))

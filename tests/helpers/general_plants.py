@@ -2,40 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import sympy
 
+from ndob_fmu.model.loading import load_model
 from ndob_fmu.model.model import Model
 
-
-def _arm(x, u, d, p):
-    """Return ẋ of M(q) q̈ + h(q, q̇) + damping q̇ = torques + loads."""
-    c, s = sympy.cos(x.elbow), sympy.sin(x.elbow)
-    coupled = p.m2 * (p.l2**2 / 3 + p.l1 * p.l2 * c / 2)
-    first = p.m1 * p.l1**2 / 3 + p.m2 * (p.l1**2 + p.l2**2 / 3 + p.l1 * p.l2 * c)
-    inertia = sympy.Matrix([[first, coupled], [coupled, p.m2 * p.l2**2 / 3]])
-    turning = p.m2 * p.l1 * p.l2 * s / 2
-    torques = sympy.Matrix(
-        [
-            u.shoulder_torque + d.shoulder_load + turning * (2 * x.shoulder_rate + x.elbow_rate) * x.elbow_rate,
-            u.elbow_torque + d.elbow_load - turning * x.shoulder_rate**2,
-        ]
-    )
-    accelerations = inertia.inv() * (torques - p.damping * sympy.Matrix([x.shoulder_rate, x.elbow_rate]))
-    return [x.shoulder_rate, x.elbow_rate, *accelerations]
-
-
-ARM = Model(
-    name="TwoLinkArm",
-    states=["shoulder", "elbow", "shoulder_rate", "elbow_rate"],
-    inputs=["shoulder_torque", "elbow_torque"],
-    outputs=["elbow", "shoulder"],
-    disturbances=["shoulder_load", "elbow_load"],
-    dynamics=_arm,
-    parameters={"m1": 2.0, "m2": 1.5, "l1": 0.5, "l2": 0.4, "damping": 0.5},
-    ranges={"elbow": (-3.0, 3.0)},
-    disturbance_bound=[2.0, 1.0],
-    xhat0_std=[0.1] * 4,
-)
+ARM = load_model(Path(__file__).parents[2] / "examples" / "two_link_arm.py")
 
 # y = h(x, u): a distance, and an acceleration that shows the force at once.
 CART = Model(

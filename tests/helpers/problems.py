@@ -30,7 +30,11 @@ Array = NDArray[np.float64]
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
 MODELS: dict[str, Model] = {source: load_model(source) for source in BUILT_IN}
-MODELS |= {path.stem: load_model(path) for path in EXAMPLES}
+_LOADED = {path: load_model(path) for path in EXAMPLES}
+# Those written as a textbook has them are for method 2. The others have the paper's form.
+TEXTBOOK: dict[Path, Model] = {path: model for path, model in _LOADED.items() if model.dynamics is not None}
+EXAMPLES = [path for path in EXAMPLES if path not in TEXTBOOK]
+MODELS |= {path.stem: _LOADED[path] for path in EXAMPLES}
 
 
 @dataclass(frozen=True)
