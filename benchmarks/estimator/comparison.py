@@ -17,6 +17,7 @@ from benchmarks.estimator.alternatives import (
     robust_differentiator,
 )
 from benchmarks.estimator.fault_rows import FAULTS, faulty_record
+from benchmarks.estimator.gallery_rows import step_of
 from benchmarks.estimator.kalman import UnscentedKalmanFilter, ekf, smoothed, tuned_intensity
 from benchmarks.estimator.ours import Estimates, NotAvailableError, RefusedError, ours_of, published_intensity
 from benchmarks.estimator.plants import ARM, CYLINDER, JOINT, MOTOR, Array, Plant
@@ -24,8 +25,9 @@ from benchmarks.estimator.records import Record, simulate, sine
 from benchmarks.estimator.scores import Score, score
 from benchmarks.estimator.statement_rows import EXACT_SIGMA, UNCERTAINTY, drawn, told_noise
 from benchmarks.estimator.tasks import Seeds, ms
+from benchmarks.gallery.plants import gallery_plants
 
-GOOD, FAULTY, WRONG, LATER = "good", "faulty", "wrong", "later"
+GOOD, FAULTY, WRONG, LATER, SHOWN = "good", "faulty", "wrong", "later", "shown"
 H = 5e-3
 STEPS = {JOINT: (1e-3, 5e-3, 2e-2), CYLINDER: (1e-3, 5e-3, 2e-2), MOTOR: (1e-3, 5e-3, 2e-2), ARM: (1e-3, 5e-3, 1e-2)}
 LAGS = (1, 2, 5, 10, 20)  # steps
@@ -55,7 +57,10 @@ Scores = dict[str, Score | str]  # by estimator; a text says why there is no sco
 
 
 def cells(first: int | None = None, plants: Sequence[Plant] = (JOINT, CYLINDER, MOTOR, ARM)) -> list[Cell]:
-    """Return all cells of these plants, or of each kind the first few. The arm has good samples only."""
+    """Return all cells of these plants and the gallery's, or of each kind the first few.
+
+    The arm has good samples only.
+    """
     three = [plant for plant in plants if plant is not ARM]
     return [
         *(
@@ -73,6 +78,10 @@ def cells(first: int | None = None, plants: Sequence[Plant] = (JOINT, CYLINDER, 
             Cell(LATER, plant, ms(lag * H), _good(plant), told={"lag": lag * H}, lag=lag)
             for plant in three
             for lag in LAGS[:first]
+        ),
+        *(
+            Cell(SHOWN, plant, ms(step_of(plant)), lambda seeds, plant=plant: simulate(plant, step_of(plant), seeds))
+            for plant in gallery_plants()[:first]
         ),
     ]
 
@@ -125,6 +134,9 @@ def compared(cell: Cell, seeds: Seeds) -> Scores:
     sigma = tuple((plant.sigma if cell.sigma is None else cell.sigma).tolist())
     intensity = tuned_intensity(plant, H if cell.group == WRONG else record.H, 2, sigma)
     scores["EKF"] = score(record, ekf(_at_told_times(told), sigma=cell.sigma, intensity=intensity))
+    if cell.group == SHOWN:
+        intensity = published_intensity(plant, record.H)
+        scores["EKF, same"] = score(record, ekf(record, intensity=intensity))
     if cell.group == GOOD:
         if plant is not ARM:  # ours estimates the arm's torques, with intensities of theirs
             intensity = published_intensity(plant, record.H)

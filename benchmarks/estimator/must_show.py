@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from benchmarks.estimator import clean_rows, fault_rows, sensor_rows, statement_rows
+from benchmarks.estimator import clean_rows, fault_rows, gallery_rows, sensor_rows, statement_rows
 from benchmarks.estimator.figures import Figure
 from benchmarks.estimator.tasks import Seeds, Task
 
@@ -15,7 +15,7 @@ Parallel = Callable[[str, Sequence[tuple[Any, ...]], int], list[Any]]
 
 def tasks(pattern: str = "") -> list[Task]:
     """Return the tasks whose name contains the regular expression."""
-    groups = (clean_rows, fault_rows, statement_rows, sensor_rows)
+    groups = (clean_rows, fault_rows, statement_rows, sensor_rows, gallery_rows)
     return [task for group in groups for task in group.tasks() if re.search(pattern, task.name)]
 
 

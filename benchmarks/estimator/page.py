@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as Drawing
 from PIL import Image
 
 from benchmarks.estimator import figures, must_show
-from benchmarks.estimator.comparison import FAULTY, GOOD, LATER, WRONG, Cell, Scores, cells, compared
+from benchmarks.estimator.comparison import FAULTY, GOOD, LATER, SHOWN, WRONG, Cell, Scores, cells, compared
 from benchmarks.estimator.fault_rows import H, faulty_record
 from benchmarks.estimator.figures import Figure
 from benchmarks.estimator.kalman import ekf
@@ -93,6 +93,9 @@ def sections(results: Results) -> list[str]:
         "## A little later",
         _LATER_TEXT,
         _table(results.of(LATER), "lag", {**_both("EKF, smoothed"), "ours within 2·std": _of("ours", _covered)}),
+        "## Plants of the gallery",
+        _SHOWN_TEXT,
+        _table(results.of(SHOWN), "H", {**_both(ESTIMATORS["EKF"]), **_SAME, **_BARS}),
         "## Required on these plants",
         _REQUIRED_TEXT,
         figures.as_text([figure for figure in results.required if not figure.timed]),
@@ -152,6 +155,7 @@ _BARS: dict[str, Column] = {
     "EKF within 2·std": _of("EKF", _covered),
     "`valid`": _of("ours", lambda s: f"{s.valid:.1%}"),
 }
+_SAME: dict[str, Column] = {ESTIMATORS["EKF, same"]: _of("EKF, same", lambda s: _number(s.rms))}
 _CHANGES: dict[str, Column] = {"changes of `valid`": _of("ours", lambda s: f"{s.toggles:.1f}")}
 
 
@@ -192,6 +196,11 @@ outputs."""
 _LATER_TEXT = """\
 The estimate for `lag` before the sample, with H = 5 ms. The EKF is smoothed over the same lag, with the intensity of
 ours."""
+
+_SHOWN_TEXT = """\
+The [gallery](gallery/index.md) has the plants. Several disturbances are sines with a radian between them, and the error
+is the RMS of all in units of their bounds. Encoders round, other sensors have noise. The EKF has the same noise, bound
+and pace."""
 
 _REQUIRED_TEXT = """\
 The number is the RMS error in D₀ where the row names nothing else. A limit that is a multiple of another filter's error
