@@ -237,6 +237,18 @@ def test_the_gain_is_frozen_for_the_noise_that_was_found_where_another_was_told(
     assert np.mean(np.abs(run.ahead[late]) < 2.0 * run.std[late]) > 0.9
 
 
+def test_the_gain_of_sensors_with_different_rates_is_not_frozen():
+    """The covariance rises and falls between the samples of the slow one; a frozen gain holds for none of them."""
+
+    def slow(k, y):
+        return np.array([y[0], y[1] if k % 10 == 0 else np.nan])
+
+    run = Run(observer_of(noise_std=1e-4), constant(), 5e-3, 1.5, sigma=1e-4, spoil=slow)
+    assert not run.state.memory.converged
+    stepped = Run(observer_of(noise_std=1e-4), constant(), 5e-3, 1.505, sigma=1e-4, spoil=slow)
+    assert not stepped.state.memory.converged  # right after a sample of both
+
+
 def test_the_samples_that_end_a_frozen_gain_do_not_make_the_noise_larger():
     """They are there because they are far from their prediction; taken for fair ones they double the variance."""
     run = Run(observer_of(noise_std=1e-4, bound=[2.0]), sine(1.0, 1.0), 1e-3, 4.0, sigma=1e-4, seed=1)

@@ -69,7 +69,7 @@ def step_of_order_zero(
             lost=lost,
             converged=False,
             step=H,
-            steady=min(memory.steady + 1, model.start_samples) if memory.step == H else 0,
+            steady=min(memory.steady + 1, model.start_samples) if memory.step == H and all(measured.used) else 0,
         ),
     )
     return (

@@ -90,7 +90,7 @@ def step_with_covariance(
             frozen_noise=memory.frozen_noise,
             tuned_at=memory.tuned_at,
             step=H,
-            steady=min(memory.steady + 1, model.start_samples) if memory.step == H else 0,
+            steady=min(memory.steady + 1, model.start_samples) if memory.step == H and all(measured.used) else 0,
         ),
     )
     estimate = Estimate(
