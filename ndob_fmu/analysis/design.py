@@ -9,7 +9,7 @@ import numpy as np
 from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import sampled_data_design
-from ndob_fmu.codegen.compile_model import compile_model, linear_part, working_part
+from ndob_fmu.codegen.compile_model import compile_model, working_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.checks import by_name
 from ndob_fmu.model.model import Model, require_model
@@ -61,9 +61,9 @@ def design(
     alpha = model.observer.alpha if alpha is None else alpha
     if not (np.isfinite(pi) and pi > 0):
         raise UsageError.report("pi", expected="a finite number > 0", received=repr(pi))
-    check(model, alpha=alpha, parameters=parameters).require()
-    if step_size is None:
-        linear_part(model, parameters)  # which says what method 1 lacks
+    report = check(model, alpha=alpha, parameters=parameters).require()
+    if step_size is None or model.vector_field.has_paper_form:
+        report.require("method 1")
     begin(f"designing the observer of {model.name} for pi = {pi:g}")
     continuous = _continuous(model, pi, alpha, parameters)
     if step_size is None:

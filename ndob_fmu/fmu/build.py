@@ -21,8 +21,8 @@ from ndob_fmu.model.model import Model
 def build(model: Model, out: str | Path = "build/fmus") -> tuple[Path, Path]:
     """Write `<Name>Plant.fmu` and `<Name>Observer.fmu` into the folder `out` and return their paths.
 
-    Raises AssumptionError where the observer's assumptions fail at the model's default parameters, and UsageError
-    where the folder cannot be written. A file that exists is replaced only by a complete new one.
+    Raises AssumptionError where the model's method lacks what it needs at the default parameters, and UsageError where
+    the folder cannot be written. A file that exists is replaced only by a complete new one.
     """
     check(model).require()
     folder = Path(out)

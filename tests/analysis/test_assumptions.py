@@ -1,4 +1,4 @@
-"""The paper's assumptions (eqs. 2–4, 21): what passes, what fails, and what the user is told."""
+"""The paper's assumptions (eqs. 2–4, 21), which method 1 needs: what passes, what fails, what the user is told."""
 
 import json
 from dataclasses import replace
@@ -10,7 +10,8 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ndob_fmu import Experiment, SignalDefaults, build, check, design
+from ndob_fmu import Experiment, ObserverDefaults, SignalDefaults, build, check, design
+from ndob_fmu.analysis.paper_checks import paper_rows
 from ndob_fmu.codegen.compile_model import linear_part
 from ndob_fmu.errors import AssumptionError, ModelError, UsageError
 from ndob_fmu.model.model import Model
@@ -29,12 +30,13 @@ from tests.helpers.problems import (
 )
 
 FLEXIBLE_JOINT = MODELS["flexible_joint"]
+METHOD_1 = ObserverDefaults(method=1)
 random_problem = pytest.mark.parametrize("problem", RANDOM, ids=lambda problem: problem.name)
 bad_problem = pytest.mark.parametrize("bad", BAD, ids=lambda bad: bad.name)
 
 
-def failed(report):
-    return tuple(row.name for row in report.rows if not row.passed)
+def failed(report, part="method 1"):
+    return tuple(row.name for row in report.parts[part] if not row.passed)
 
 
 def in_units(linear: LinearPart, states, inputs, outputs, rate=1.0) -> LinearPart:
@@ -83,7 +85,7 @@ def test_the_papers_example_satisfies_every_assumption():
 def test_measuring_only_the_motor_angle_leaves_fewer_outputs_than_unknown_inputs():
     only_motor = replace(FLEXIBLE_JOINT, outputs=["motor_angle"], C=[[0, 0, 1, 0]])
     with pytest.raises(AssumptionError, match=r"expected p >= q \(eq\. 21\), received 1 outputs for 2 unknown inputs"):
-        check(only_motor).require()
+        check(only_motor).require("method 1")
 
 
 def test_measuring_the_rates_in_place_of_the_angles_hides_where_the_joint_is():
@@ -128,8 +130,8 @@ def test_zeros_keep_six_digits_whatever_the_units(problem, seed):
 @given(problem=minimum_phase_systems(), seed=st.integers(0, 10**6))
 def test_drawn_systems_satisfy_every_assumption_in_any_units(problem, seed):
     rescaled = in_units(problem.linear, *units_of(problem, seed, decades=5.0))
-    report = check(without_slope(rescaled), alpha=1.5)
-    assert report.passed, str(report)
+    rows = paper_rows(without_slope(rescaled), 1.5, None)
+    assert all(row.passed for row in rows), rows
 
 
 def test_a_faster_clock_scales_the_zeros_with_it():
@@ -195,10 +197,11 @@ def test_two_unknown_inputs_that_meet_in_one_state_are_degenerate_though_every_r
 
 @bad_problem
 def test_exactly_the_violated_assumptions_fail_and_the_culprit_is_named(bad: BadProblem):
-    report = check(to_model(bad.linear, "Bad"), alpha=0.5)
+    report = check(to_model(bad.linear, "Bad", observer=METHOD_1), alpha=0.5)
     assert failed(report) == bad.fails
+    assert not report.passed
     with pytest.raises(AssumptionError) as caught:
-        report.require()
+        report.require("method 1")
     message = str(caught.value)
     assert message.startswith(f"Bad: {bad.fails[0]}: expected ")
     assert bad.says in message
@@ -267,7 +270,7 @@ def test_an_oscillating_hidden_mode_is_named_once_with_the_states_that_carry_it(
 
 def test_alpha_must_stay_below_the_slowest_zero():
     model = to_model(RANDOM[0].linear)  # zeros −2 and −0.5
-    assert check(model, alpha=0.499).passed
+    assert check(model, alpha=0.499).holds("method 1")
     report = check(model, alpha=0.5)
     assert failed(report) == ("alpha_below_zeros",)
     assert report["alpha_below_zeros"].failure == "alpha = 0.5 1/s, zero at -0.5 1/s; at most 0.5 1/s is allowed"
@@ -451,13 +454,13 @@ def test_a_misspelt_parameter_is_refused_with_those_that_exist():
 
 
 def test_the_table_is_ascii_aligned_and_marks_what_fails():
-    text = str(check(to_model(BAD[0].linear, "Bad"), alpha=0.5))
+    text = str(check(to_model(BAD[0].linear, "Bad", observer=METHOD_1), alpha=0.5))
     assert text.isascii()
     head, *lines = text.splitlines()
-    assert head == "Bad: 1 of 10 checks FAIL at alpha = 0.5 1/s"
-    table = [line for line in lines if not line.lstrip().startswith(">")]
+    assert head == "Bad: 1 of 9 checks FAIL, alpha = 0.5 1/s"
+    table = [line for line in lines if line.startswith("  ") and not line.lstrip().startswith(">")]
     assert [line[2:6].strip() for line in table].count("FAIL") == 1
-    requirement = table[0].index("p >= q")
+    requirement = next(line for line in table if "p >= q" in line).index("p >= q")
     assert all(line[requirement - 2 : requirement] == "  " and line[requirement] != " " for line in table)
     assert any("mode -7.5 1/s (x7)" in line for line in lines)
 
@@ -466,7 +469,12 @@ def test_the_json_form_carries_every_row_with_its_numbers():
     data = json.loads(json.dumps(check(to_model(RANDOM[1].linear), alpha=1.0).to_dict(), allow_nan=False))
     rows = {row["name"]: row for row in data["rows"]}
     assert data["passed"] is True
+    assert [rows[name]["part"] for name in ("disturbance_zeros", "minimum_phase")] == ["method 2", "method 1"]
     assert list(rows) == [
+        "detectable",
+        "disturbance_zeros",
+        "error_bars",
+        "pace",
         "outputs_at_least_unknown_inputs",
         "rank_C",
         "rank_G",
@@ -476,15 +484,15 @@ def test_the_json_form_carries_every_row_with_its_numbers():
         "minimum_phase",
         "alpha_below_zeros",
         "lipschitz",
-        "pace",
     ]
     np.testing.assert_allclose(rows["minimum_phase"]["values"]["zeros"], [[-1.5, -4.0], [-1.5, 4.0]])
     assert rows["alpha_below_zeros"]["values"]["largest_allowed"] == pytest.approx(1.5)
 
 
 def test_the_json_form_of_a_failed_report_names_the_cause():
-    data = json.loads(json.dumps(check(to_model(BAD[3].linear), alpha=1.0).to_dict(), allow_nan=False))
-    row = data["rows"][0]
+    report = check(to_model(BAD[3].linear, observer=METHOD_1), alpha=1.0)
+    data = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    row = next(row for row in data["rows"] if row["part"] == data["decides"])
     assert (data["passed"], row["passed"], row["failure"]) == (False, False, "1 outputs for 2 unknown inputs")
     assert row["likely_cause"]
 

@@ -18,6 +18,7 @@ from ndob_fmu.runtime.arrays import Array
 ComplexArray = NDArray[np.complex128]
 
 RANK_TOLERANCE = 1e-10
+AXIS_TOLERANCE = 1e-9  # of the larger of |z| and the plant's own rate: a zero this close to the axis is on it
 _REWEIGHTINGS = 20
 
 
