@@ -28,7 +28,7 @@ def add_model_commands(commands: Commands) -> None:
         commands,
         "check",
         _check,
-        "Check what each method needs of a model, or check a system; exit code 1 if the model's method lacks something.",
+        "Check what each method needs of a model, or check a system; exit code 1 if the default method lacks it.",
         slow=True,
     )
     parser.add_argument("model", metavar="MODEL", help=f"{MODEL_HELP}, or the path of a system (.ssp)")
