@@ -268,6 +268,11 @@ MOTOR = Plant(
 # -- two-joint arm
 
 
+@cache
+def _arm_model() -> Model:
+    return load_model(str(Path(__file__).parents[2] / "examples" / "tool_on_arm.py"))
+
+
 def _arm_slope(x: Any, u: Any, d: Any, p: Parameters) -> Any:
     shoulder, elbow = x[..., 1], x[..., 3]
     lever = p["forearm"] + p["upper_arm"] * np.cos(x[..., 2])
@@ -280,18 +285,8 @@ def _arm_slope(x: Any, u: Any, d: Any, p: Parameters) -> Any:
 
 ARM = Plant(
     name="arm",
-    model=cache(lambda: load_model(str(Path(__file__).parents[2] / "examples" / "tool_on_arm.py"))),
-    parameters={
-        "shoulder_inertia": 1.2,
-        "elbow_inertia": 0.4,
-        "shoulder_damping": 2.0,
-        "elbow_damping": 0.5,
-        "shoulder_friction": 3.0,
-        "elbow_friction": 1.0,
-        "friction_rate": 0.5,
-        "upper_arm": 0.4,
-        "forearm": 0.3,
-    },
+    model=_arm_model,
+    parameters=_arm_model().parameters,
     slope=_arm_slope,
     control=_no_control(2),
     C=_rows_of_identity(4, 2, 0),
