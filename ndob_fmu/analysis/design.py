@@ -8,8 +8,8 @@ import numpy as np
 
 from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
-from ndob_fmu.analysis.sampled_data_design import sampled_data_design
-from ndob_fmu.codegen.compile_model import compile_model, working_part
+from ndob_fmu.analysis.sampled_data_design import SampledDataDesign, sampled_data_design
+from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.checks import by_name
 from ndob_fmu.model.model import Model, require_model
@@ -30,11 +30,12 @@ def design(
     disturbance_bound: float | Sequence[float] | None = None,
     disturbance_rate: float | Sequence[float] | None = None,
     parameters: Mapping[str, float] | None = None,
-) -> PaperDesign:
+) -> PaperDesign | SampledDataDesign:
     """Design the paper's observer; with a `step_size`, the sampled-data observer for that step as well.
 
     pi, alpha: π > 0 and α > 0 (1/s) of the paper. A given π also sets the intensity of the sampled-data observer.
-    step_size: H in s; None for the paper's observer alone.
+    step_size: H in s; None for the paper's observer alone. Where its assumptions do not hold, the model's own method
+        is 2 and neither π nor α is given, None stands for the step of the default experiment.
     disturbance_order: r = 0 … 3.
     noise_std: σ of the noise in a sample of an output, {output: σ}, or one number for all.
     disturbance_bound: D₀, one number or one for each disturbance.
@@ -44,9 +45,9 @@ def design(
     inputs n_j d.
 
     Raises UsageError for an invalid π, and for r, σ or bounds without a step_size; ModelError for an unknown output;
-    AssumptionError if an assumption of the paper fails; DesignError for other values outside their range, if a gain is
-    not accurate enough, or without a step_size for a plant outside the paper's form, for which the paper's gains are
-    those of the plant linearised where it starts.
+    AssumptionError if the model's method lacks what it needs, or if a given π or α without a step_size asks for the
+    paper's observer and one of its assumptions fails; DesignError for other values outside their range, or if a gain is
+    not accurate enough.
     """
     require_model(model)
     if step_size is None:
@@ -56,18 +57,22 @@ def design(
             disturbance_bound=disturbance_bound,
             disturbance_rate=disturbance_rate,
         )
+    of_the_paper = step_size is None and not (pi is None and alpha is None)
     expert = pi
     pi = model.observer.pi_end if pi is None else pi
     alpha = model.observer.alpha if alpha is None else alpha
     if not (np.isfinite(pi) and pi > 0):
         raise UsageError.report("pi", expected="a finite number > 0", received=repr(pi))
     report = check(model, alpha=alpha, parameters=parameters).require()
-    if step_size is None or model.vector_field.has_paper_form:
+    paper = None
+    if of_the_paper or report.holds("method 1"):
         report.require("method 1")
-    begin(f"designing the observer of {model.name} for pi = {pi:g}")
-    continuous = _continuous(model, pi, alpha, parameters)
+        begin(f"designing the observer of {model.name} for pi = {pi:g}")
+        paper = _continuous(model, pi, alpha, parameters)
+        if step_size is None:
+            return paper
     if step_size is None:
-        return continuous
+        step_size = model.experiment.step_size
     if not (np.isfinite(step_size) and step_size > 0):
         raise UsageError.report("step size", expected="a finite time > 0 s", received=repr(step_size))
     begin(f"designing the observer of {model.name} for steps of {step_size:g} s")
@@ -82,8 +87,10 @@ def design(
         )
     rate = _for_each("disturbance rate", disturbance_rate, q, default)
     return sampled_data_design(
-        continuous,
         model,
+        paper=paper,
+        pi=pi,
+        alpha=alpha,
         step_size=step_size,
         order=order,
         noise_std=by_name("noise_std", {} if noise_std is None else noise_std, model.outputs, equations.noise_std),
@@ -126,7 +133,7 @@ def _for_each(
 
 
 def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> PaperDesign:
-    linear = working_part(model, parameters)
+    linear = linear_part(model, parameters)
     gains = paper_gains(linear, pi=pi, alpha=alpha)
     poles = np.linalg.eigvals(linear.A - gains.L @ linear.C)
     estimate = np.sqrt(pi) * linear.selector @ gains.W

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,13 @@ from ndob_fmu.analysis.certificate import Certificate, certify, no_certificate
 from ndob_fmu.analysis.error_bars import settled_error_bars
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.errors import DesignError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.design.ranges import continued
+from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
@@ -26,10 +28,17 @@ from ndob_fmu.runtime.step.settings import observer_settings
 _STEP_LIMITS = 0.1
 
 
-@dataclass(frozen=True)
-class SampledDataDesign(PaperDesign):
-    """The paper's design and the sampled-data one at `step_size` H. N = n + r q2.
+# Keys of `PaperDesign.to_dict`, null where there is no paper's design.
+_OF_THE_PAPER = ("L", "W", "M", "Q", "poles", "riccati_residual", "bandwidth", "dc_gain", "noise_gain")
 
+
+@dataclass(frozen=True)
+class SampledDataDesign:
+    """The sampled-data design at `step_size` H, and the paper's where its assumptions hold. N = n + r q2.
+
+    model, disturbances: their names.
+    paper: the paper's design; its L, W, M, poles and bandwidth are attributes here too. None where it does not exist.
+    pi, alpha: π and α (1/s).
     step_size, disturbance_order: H (s) and r.
     noise_std: σ of a sample by the name of its output.
     disturbance_bound, disturbance_rate (q2,): bounds of |d| and |d^{(r)}|.
@@ -46,6 +55,11 @@ class SampledDataDesign(PaperDesign):
     warnings: what to change, one sentence each.
     """
 
+    model: str
+    disturbances: tuple[str, ...]
+    paper: PaperDesign | None
+    pi: float
+    alpha: float
     step_size: float
     disturbance_order: int
     noise_std: Mapping[str, float]
@@ -64,10 +78,17 @@ class SampledDataDesign(PaperDesign):
     certificate: Certificate
     warnings: tuple[str, ...]
 
+    def __getattr__(self, name: str) -> Any:
+        """Return what the paper's design has of that name, None where there is no such design."""
+        if name not in _OF_THE_PAPER:
+            raise AttributeError(name)
+        return None if self.paper is None else getattr(self.paper, name)
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the design in JSON's types; a pole is a pair [real, imaginary]."""
+        """Return the design in JSON's types; a pole is a pair [real, imaginary], the paper's part null without one."""
+        none = {"model": self.model, "pi": self.pi, "alpha": self.alpha, **dict.fromkeys(_OF_THE_PAPER)}
         return {
-            **super().to_dict(),
+            **(none if self.paper is None else self.paper.to_dict()),
             "step_size": self.step_size,
             "disturbance_order": self.disturbance_order,
             "noise_std": dict(self.noise_std),
@@ -89,7 +110,9 @@ class SampledDataDesign(PaperDesign):
 
     def __str__(self) -> str:
         lines = [
-            super().__str__(),
+            f"{self.model}: no paper's observer, as its assumptions do not hold"
+            if self.paper is None
+            else str(self.paper),
             "",
             f"Sampled-data observer at H = {self.step_size:g} s, disturbance order r = {self.disturbance_order}, "
             f"noise {', '.join(f'{sigma:g} in {output}' for output, sigma in self.noise_std.items())}",
@@ -121,9 +144,11 @@ class SampledDataDesign(PaperDesign):
 
 
 def sampled_data_design(
-    continuous: PaperDesign,
     model: Model,
     *,
+    paper: PaperDesign | None,
+    pi: float,
+    alpha: float,
     step_size: float,
     order: int,
     noise_std: tuple[float, ...],
@@ -149,8 +174,8 @@ def sampled_data_design(
                 disturbance_bound=disturbance_bound,
                 disturbance_rate=rate,
                 adapt_noise=False,
-                alpha=continuous.alpha,
-                pi=continuous.pi,
+                alpha=alpha,
+                pi=pi,
             ),
             equations.xhat0,
         )
@@ -159,7 +184,7 @@ def sampled_data_design(
     known = observer.known
     if by_pi:
         observer = observer_for((0.0,) * len(disturbance_rate))
-    found = observer.design(step_size)
+    found = stationary_at(observer, step_size)
     intensity = float(found.intensities.disturbance[-len(known.disturbance_bound)])
     bias, noise = predicted_error(found, known.disturbance_rate)
     error_bar, lagged_error_bar = settled_error_bars(observer, np.array(equations.xhat0), step_size)
@@ -173,7 +198,11 @@ def sampled_data_design(
     )
     bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
     return SampledDataDesign(
-        **{field.name: getattr(continuous, field.name) for field in fields(PaperDesign)},
+        model=model.name,
+        disturbances=tuple(model.unknown_inputs),
+        paper=paper,
+        pi=float(pi),
+        alpha=float(alpha),
         step_size=step_size,
         disturbance_order=order,
         noise_std=dict(zip(model.outputs, noise_std, strict=True)),
@@ -196,13 +225,24 @@ def sampled_data_design(
             lipschitz=equations.lipschitz,
             f_states=equations.f_states,
         )
-        if model.vector_field.has_paper_form
+        if model.vector_field.has_paper_form and found.system is observer.designs.system
         else no_certificate(found),
         warnings=(
             *_warnings(known.disturbance_bound, step_size, bandwidth, bias, noise, by_pi=by_pi),
             *([] if by_pi else pace_warnings(pace, model.unknown_inputs, step_size)),
         ),
     )
+
+
+def stationary_at(observer: SampledObserver, H: float) -> StationaryDesign:
+    """Return the design of the frozen gain at a step H (s); without one, that with the slopes of f known.
+
+    Raises DesignError where there is neither.
+    """
+    try:
+        return observer.design(H)
+    except DesignError:
+        return observer.tracking.at(H).stationary
 
 
 def _warnings(bound: Array, H: float, bandwidth: float, bias: Array, noise: Array, *, by_pi: bool) -> list[str]:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from ndob_fmu import Experiment, Model, ObserverDefaults, build, check, design
 from ndob_fmu.cli import main
+from ndob_fmu.command_line.options import as_json
 from ndob_fmu.errors import AssumptionError
 from ndob_fmu.runtime.base_errors import MESSAGE_LIMIT
 from tests.helpers.general_plants import ARM
@@ -194,3 +195,16 @@ def test_other_units_of_states_and_outputs_change_no_verdict(system, seed):
     ours = verdicts(A, G, C, noise, np.ones(len(A)))
     theirs = verdicts(A * x[:, None] / x, G * x[:, None], C * y[:, None] / x, noise * y, x)
     assert ours == theirs
+
+
+def test_the_design_of_a_plant_without_a_papers_observer_is_that_of_method_2_alone():
+    found, at_default = design(REACTOR, step_size=0.01), design(REACTOR)
+    np.testing.assert_array_equal(found.K, at_default.K)
+    assert found.paper is None
+    assert found.L is None
+    assert not found.certificate.exists
+    data = json.loads(as_json(found.to_dict()))
+    assert (data["L"], data["riccati_residual"], len(data["K"])) == (None, None, 4)
+    assert "no paper's observer" in str(found)
+    with pytest.raises(AssumptionError, match="outputs_at_least_unknown_inputs"):
+        design(REACTOR, pi=1e8)
