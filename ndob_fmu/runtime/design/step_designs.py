@@ -97,7 +97,9 @@ class StepDesigns:
             return stationary_design(self.system, H, R_factor, intensities, self.alpha)
 
         def design() -> StepDesign:
-            return StepDesign(_DESIGNS((H, tuned_for, factors, self._key), stationary), self.known)
+            # Noise that was found is hardly ever the same in two instances, and is not worth memory.
+            found = _DESIGNS((H, tuned_for, self._key), stationary) if factors == told else stationary()
+            return StepDesign(found, self.known)
 
         return self._latest((H, tuned_for, *factors), design)
 
