@@ -60,11 +60,6 @@ class VectorField:
             total += self.parts.G_f * sympy.Matrix(self.f)
         return tuple(total)
 
-    @cached_property
-    def disturbance_directions(self) -> sympy.ImmutableMatrix:
-        """∂ẋ/∂d, (n,q2)."""
-        return sympy.ImmutableMatrix(self.G_d * sympy.Matrix(self.direction) if self.direction else self.G_d)
-
     def derivatives(self, w: Sequence[sympy.Expr]) -> Expressions:
         """Return ẋ (n,) for one expression w for each column of G_d."""
         return tuple(sympy.Matrix(self.drift) + self.G_d * sympy.Matrix(w))

@@ -78,7 +78,7 @@ class Case:
     def go(self, h):
         """Take the batch over a step."""
         G_noise = np.column_stack([self.state_noise, np.zeros((len(self.F), 1))])
-        G_noise[n + ORDER - 1, -1] = np.sqrt(self.tuned.intensity(h, 1.0)[0])
+        G_noise[n + ORDER - 1, -1] = np.sqrt(self.tuned.intensity(h, (1.0,) * p)[0])
         Phi, Q = sampled_by_van_loan(self.F, G_noise, h)
         self.batch.step(Phi, Q)
         if self.known_pull:

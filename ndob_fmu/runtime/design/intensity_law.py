@@ -15,6 +15,7 @@ from two noises; with ρ anywhere between 0 and the relative degree, as other ou
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import log
 
@@ -58,6 +59,14 @@ class IntensityLaw:
         noise, step = noise_scale**2, H / self.H
         law = self.disturbance * (noise * step) ** self.exponent
         return np.asarray(np.minimum(law, self.limit * (noise * step**self.limit_exponent)))
+
+    def scaled(self, tuned: Array, tuned_at: float, H: float, noise: Sequence[float]) -> Array:
+        """Return intensities (q_d,) for a step H (s) from those `tuned` for a step `tuned_at` (s) and the noise told.
+
+        noise (p,): factors on the variances of the samples; their geometric mean counts
+        """
+        variance = float(np.exp(np.mean(np.log(noise))))
+        return np.asarray(tuned * self.at(H, float(np.sqrt(variance))) / self.at(tuned_at))
 
 
 def tuned_law(system: Augmented, H: float, alpha: float, known: Knowledge) -> IntensityLaw:

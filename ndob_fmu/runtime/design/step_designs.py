@@ -89,10 +89,8 @@ class StepDesigns:
         def stationary() -> StationaryDesign:
             R_factor, intensities = self.known.R_factor, self.intensities(tuned_for)
             if factors != told:
-                law = self.law(tuned_for)
-                mean = float(np.exp(0.5 * np.mean(np.log(factors))))
                 R_factor = R_factor * np.sqrt(factors)
-                changed = intensities.disturbance * law.at(H, mean) / law.at(tuned_for)
+                changed = self.law(tuned_for).scaled(intensities.disturbance, tuned_for, H, factors)
                 intensities = replace(intensities, disturbance=changed)
             return stationary_design(self.system, H, R_factor, intensities, self.alpha)
 

@@ -112,7 +112,7 @@ class FilterModel:
         return mask
 
     @cached_property
-    def start_columns(self) -> Array:
+    def unknown_disturbance(self) -> Array:
         """The columns (N + past,r q2) of d and its derivatives in the factor before the first sample."""
         columns = np.zeros((self.rows, self.layout.order * self.layout.q))
         columns[self.layout.series] = np.diag(self.start_std[self.layout.series])

@@ -233,7 +233,7 @@ def _with_jump(model: FilterModel, now: _Estimate) -> _Estimate:
     """
     shift, more = accepted(now.jumps, now.columns.signatures)
     if now.jumps.since_jump < LONG_AGO:
-        more = np.concatenate([more, model.start_columns], axis=1)
+        more = np.concatenate([more, model.unknown_disturbance], axis=1)
     columns = now.columns.more(more)
     nothing = np.zeros_like(columns.signatures)
     return now._replace(

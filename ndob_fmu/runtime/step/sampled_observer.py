@@ -213,7 +213,7 @@ class SampledObserver(PreparedObserver):
     ) -> tuple[SampledObserverState, Estimate, Measured]:
         memory = state.memory
         if self.layout.order:
-            noise = float(np.exp(np.mean(np.log(tuned.model.noise_ratios(memory.sensors)))))
+            noise = tuned.model.noise_ratios(memory.sensors)
             return step_with_covariance(tuned.model, state, u, sample, H, tuned.intensity(H, noise))
         return step_of_order_zero(tuned.model, replace(state, u=u), sample, H, self.designs.at(tuned.H, tuned.H))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,12 +40,12 @@ class Tuned:
     law: IntensityLaw | None
     freezes: bool
 
-    def intensity(self, H: float, noise: float) -> Array:
-        """Return the intensity (q2,) behind the r-th derivative of d at a step H (s), for σ² larger by a factor."""
+    def intensity(self, H: float, noise: Sequence[float]) -> Array:
+        """Return the intensity (q2,) behind the r-th derivative of d at a step H (s), for factors (p,) on σ²."""
         at_tuned = self.intensities.disturbance * self.intensities.scale**2
-        if self.law is None or (noise == 1.0 and self.H == H):
+        if self.law is None or (self.H == H and all(ratio == 1.0 for ratio in noise)):
             return np.asarray(at_tuned)
-        return np.asarray(at_tuned * self.law.at(H, float(np.sqrt(noise))) / self.law.at(self.H))
+        return self.law.scaled(at_tuned, self.H, H, noise)
 
 
 def tune(observer: PreparedObserver, H: float) -> Tuned:
