@@ -26,6 +26,9 @@ FOLDERS = ["plain", "a b", "ä", "x#y", "it's", "日本", "100%25", "[+],("]
 # gain, and the estimate by 1e-11 where samples are noisy. As it is delivered, for samples without noise, the observer
 # makes 1e-8 N·m of 1e-15 rad.
 EQUAL, EQUAL_FOR_ANOTHER_KERNEL, EQUAL_AT_HIGHEST_GAIN = 1e-11, 1e-10, 1e-8
+# `consistency` is made of residuals over their standard deviation. As it is delivered, that deviation is 1e-15 rad: the
+# last digit of the residual is 0.1 of it.
+EQUAL_CONSISTENCY_WITHOUT_NOISE = 1e-6
 SINE = {"disturbance.kind": 3, "disturbance.amplitude": 1.5, "disturbance.frequency": 0.8}
 OBSERVER = "FlexibleJointObserver"
 VARIANTS = {
@@ -105,7 +108,9 @@ def test_each_fmu_gives_linuxs_trajectories_in_fmpy(trajectories, name):
         found, measured = on_windows[variable], ~np.isnan(column)
         np.testing.assert_array_equal(~np.isnan(found), measured, variable)  # a sample that was lost is NaN
         error = np.max(np.abs(found - column)[measured])
-        assert error <= equal * scale(on_linux, variable), variable
+        without_noise = (name, variable) == (OBSERVER, "consistency")
+        bound = EQUAL_CONSISTENCY_WITHOUT_NOISE if without_noise else equal
+        assert error <= bound * scale(on_linux, variable), variable
     assert any(np.nanmax(column) > np.nanmin(column) for variable, column in on_linux.items() if variable != "time")
 
 
