@@ -5,23 +5,23 @@ told (Mehra, 1970). The mean of the latest innovations is subtracted from e, bec
 product's moving average replaces the variance that was told where the two differ by a factor of two; so nothing is lost
 where that was right.
 
-Noise makes all changes differ. Where the smallest change from one sample to the next comes again and again, it is the
-step of a rounding, whose error has the variance of an equal distribution over it. That is the least that the noise can
-be.
+Changes of rounded samples are multiples of one step, however fast the output moves. Euclid's algorithm finds it as
+their greatest common divisor: the rest of a change that is no multiple takes its place. The rests of noise fall towards
+zero. A rounding error has the variance of an equal distribution over the step. That is the least that the noise can be.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, log2
+from math import ceil, isfinite, log2, remainder
 
 _MEMORY = 200.0
 _FIRST = 10.0
 LEAST_RATIO = 1e-4
 _CREDIBLE = (0.5, 2.0)
-# Samples are rounded where their smallest change was seen so many times, to this part. So many equal ones in a row at
-# most count as one.
-_SEEN, _EQUAL = 4.0, 1e-6
+# Samples are rounded where so many changes were multiples of the step, to this part of it. So many equal samples in a
+# row at most count as one.
+_SEEN, _EQUAL = 4.0, 1e-5
 _LONGEST_ROW = 20.0
 
 
@@ -31,22 +31,32 @@ def averaged(ratio: float, counted: float, product: float, largest: float, weigh
     return ratio + weight * (limited - ratio) / min(_MEMORY, _FIRST + counted)
 
 
-def smallest_change(resolution: float, alike: float, change: float) -> tuple[float, float]:
-    """Return the smallest change from one sample to the next, and how often it was seen, after one more change."""
+def common_step(step: float, multiples: float, change: float, *, repeats: bool) -> tuple[float, float]:
+    """Return the step of which all changes may be multiples, and how many told that they are, after one more change.
+
+    A change of one step tells nothing where each was of one: a plain motion has equal changes too. Samples that repeat
+    are no plain motion.
+
+    repeats: whether samples repeat now and then
+    """
     if not change > 0.0:
-        return resolution, alike
-    least = min(resolution, change)
-    if change > (1.0 + _EQUAL) * least:
-        return least, alike
-    return least, min(alike + 1.0, _SEEN) if resolution <= (1.0 + _EQUAL) * least else 1.0
+        return step, multiples
+    if not isfinite(step):
+        return change, 0.0
+    rest = abs(remainder(change, step))
+    if rest > _EQUAL * step:
+        return rest, 0.0
+    times = round(change / step)
+    # A change of many steps tells the step to more digits, which the next rests need.
+    return change / times, min(multiples + (repeats or multiples > 0.0 or times > 1), _SEEN)
 
 
-def of_rounding(resolution: float, alike: float, repeat_rate: float) -> float:
+def of_rounding(step: float, multiples: float, repeat_rate: float) -> float:
     """Return the variance of the rounding of samples, 0 where they are not known to be rounded.
 
     The rounding error is the same while a sample repeats, so that all samples in a row tell as much as one.
     """
-    width = resolution if alike >= _SEEN else 0.0
+    width = step if multiples >= _SEEN else 0.0
     return width**2 / 12.0 / max(1.0 - repeat_rate, 1.0 / _LONGEST_ROW)
 
 

@@ -41,8 +41,8 @@ class SensorMemory:
     noise_ratio: the variance of the noise over the one that was told.
     counted: samples behind `noise_ratio`.
     repeat_rate: share of samples that repeated the one before.
-    resolution: the smallest change from one sample to the next; ∞ before there was one.
-    alike: how many changes were of that size, counted up to a limit.
+    resolution: the step of which all changes from one sample to the next may be multiples; ∞ before there was one.
+    multiples: how many changes told that they are, counted up to a limit.
     refused: whether the last sample was refused.
     debt: how improbable the refused samples are, in nats; falls with each sample that is used.
     skipped, drift: mean square and mean of the innovations that were refused.
@@ -58,7 +58,7 @@ class SensorMemory:
     counted: float = 0.0
     repeat_rate: float = 0.0
     resolution: float = inf
-    alike: float = 0.0
+    multiples: float = 0.0
     refused: bool = False
     debt: float = 0.0
     skipped: float = 0.0
@@ -174,7 +174,7 @@ def _is_possible_sensor(sensor: SensorMemory) -> bool:
     not_negative = (
         sensor.noise_ratio,
         sensor.counted,
-        sensor.alike,
+        sensor.multiples,
         sensor.debt,
         sensor.usual,
         sensor.waited,

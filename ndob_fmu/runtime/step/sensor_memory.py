@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 from ndob_fmu.runtime.generated_steps import MEMORY
-from ndob_fmu.runtime.step.adaptive_noise import averaged, of_rounding, smallest_change
+from ndob_fmu.runtime.step.adaptive_noise import averaged, common_step, of_rounding
 from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS
 from ndob_fmu.runtime.step.filter_state import SensorMemory
 
@@ -72,17 +72,22 @@ class Innovation:
     learns: bool
 
 
+def _common_step(sensor: SensorMemory, sample: Innovation, repeat_rate: float) -> tuple[float, float]:
+    """Return the step of the samples' changes, and how many told it, as in the memory, after a sample."""
+    return common_step(sensor.resolution, sensor.multiples, abs(sample.change), repeats=repeat_rate > 0.0)
+
+
 def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> SensorMemory:
     """Return the memory after a sample that was used, and left a residual."""
     repeat_rate = _repeat_rate(sensor, sample.repeats)
-    resolution, alike = smallest_change(sensor.resolution, sensor.alike, abs(sample.change))
-    ratio, counted = _followed(sensor, sample, residual, of_rounding(resolution, alike, repeat_rate))
+    resolution, multiples = _common_step(sensor, sample, repeat_rate)
+    ratio, counted = _followed(sensor, sample, residual, of_rounding(resolution, multiples, repeat_rate))
     return SensorMemory(
         noise_ratio=ratio,
         counted=counted,
         repeat_rate=repeat_rate,
         resolution=resolution,
-        alike=alike,
+        multiples=multiples,
         refused=False,
         debt=sensor.debt * _DEBT_LEFT,
         skipped=sensor.skipped,
@@ -105,8 +110,8 @@ def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *,
     e, fresh = sample.e, sensor.debt == 0.0
     near = sample.e**2 <= _NEAR**2 * sample.alpha
     repeat_rate = _repeat_rate(sensor, sample.repeats)
-    resolution, alike = smallest_change(sensor.resolution, sensor.alike, abs(sample.change))
-    rounding = of_rounding(resolution, alike, repeat_rate)
+    resolution, multiples = _common_step(sensor, sample, repeat_rate)
+    rounding = of_rounding(resolution, multiples, repeat_rate)
     ratio, counted = _followed(sensor, sample, e, rounding)
     if stuck:
         ratio = max(sensor.noise_ratio, rounding / sample.told) if sample.learns else sensor.noise_ratio
@@ -115,7 +120,7 @@ def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *,
         counted=counted,
         repeat_rate=repeat_rate,
         resolution=resolution,
-        alike=alike,
+        multiples=multiples,
         refused=True,
         debt=sensor.debt + (0.0 if sample.repeats else min(max(-if_faulty, 0.0), _MOST_DEBT)),
         skipped=e * e if fresh else 0.5 * (sensor.skipped + e * e),
@@ -158,7 +163,7 @@ def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
         counted=sensor.counted,
         repeat_rate=sensor.repeat_rate,
         resolution=sensor.resolution,
-        alike=sensor.alike,
+        multiples=sensor.multiples,
         refused=sensor.refused,
         debt=sensor.debt,
         skipped=sensor.skipped,
