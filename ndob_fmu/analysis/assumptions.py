@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
-from ndob_fmu.analysis.check_report import CheckReport
+from ndob_fmu.analysis.check_report import CheckReport, Part
 from ndob_fmu.analysis.estimator_checks import estimator_rows
 from ndob_fmu.analysis.paper_checks import paper_rows
 from ndob_fmu.codegen.compile_model import working_part
@@ -24,17 +24,31 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     no Model, and ModelError for a parameter that the model does not have, or where the plant cannot be evaluated.
     """
     require_model(model)
-    chosen = model.observer.alpha if alpha is None else alpha
-    if not (isinstance(chosen, (int, float)) and math.isfinite(chosen) and chosen > 0):
-        raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(chosen))
+    return _report(model, model.observer.alpha if alpha is None else alpha, parameters, ("method 2", "method 1"))
+
+
+def require_own_part(model: Model) -> None:
+    """Check what the model's own method needs, without the other part, which only informs and takes longer.
+
+    Raises AssumptionError where it lacks something, and what `check` raises.
+    """
+    require_model(model)
+    _report(model, model.observer.alpha, None, (_decides(model),)).require()
+
+
+def _report(model: Model, alpha: float, parameters: Mapping[str, float] | None, parts: Iterable[Part]) -> CheckReport:
+    if not (isinstance(alpha, (int, float)) and math.isfinite(alpha) and alpha > 0):
+        raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(alpha))
     working_part(model, parameters)  # which says what cannot be evaluated
     begin(f"measuring modes, ranks and zeros of {model.name}")
+    rows = {"method 2": estimator_rows, "method 1": paper_rows}
     return CheckReport(
         model=model.name,
-        alpha=float(chosen),
-        decides="method 1" if model.observer.method == 1 else "method 2",
-        parts={
-            "method 2": estimator_rows(model, float(chosen), parameters),
-            "method 1": paper_rows(model, float(chosen), parameters),
-        },
+        alpha=float(alpha),
+        decides=_decides(model),
+        parts={part: rows[part](model, float(alpha), parameters) for part in parts},
     )
+
+
+def _decides(model: Model) -> Part:
+    return "method 1" if model.observer.method == 1 else "method 2"

@@ -143,28 +143,41 @@ def _build_all(name: str | None, out: Path, components: bool, systems: Path | No
 
     Without the name of a model the components that fit any plant are built.
     """
-    from ndob_fmu.cosim import parameter_sets
-    from ndob_fmu.fmu import build
-    from ndob_fmu.fmu.components import build_components
-    from ndob_fmu.fmu.controller import build_controller
     from ndob_fmu.model.loading import load_model
-    from ndob_fmu.packages import build_ssp
-    from ndob_fmu.support.shipped import shipped_folder
 
     if name is None:
         if systems is not None:
             raise UsageError.report("build --systems", expected="the MODEL that the systems contain", received="none")
-        yield from build_components(out)
+        yield from _build_components(out)
         return
     model = load_model(name)
+
+    from ndob_fmu.fmu import build
+
     yield from build(model, out)
     if components or systems is not None:
-        yield from build_components(out)
+        from ndob_fmu.fmu.controller import build_controller
+
+        yield from _build_components(out)
         yield build_controller(model, out)
     if systems is not None:
-        for folder in sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd")):
-            for one in (None, *parameter_sets(folder)):
-                yield build_ssp(folder, out, systems, parameter_set=one)
+        yield from _build_systems(out, systems)
+
+
+def _build_components(out: Path) -> Iterator[Path]:
+    from ndob_fmu.fmu.components import build_components
+
+    yield from build_components(out)
+
+
+def _build_systems(out: Path, systems: Path) -> Iterator[Path]:
+    from ndob_fmu.cosim import parameter_sets
+    from ndob_fmu.packages import build_ssp
+    from ndob_fmu.support.shipped import shipped_folder
+
+    for folder in sorted(path.parent for path in shipped_folder("ssp").glob("*/SystemStructure.ssd")):
+        for one in (None, *parameter_sets(folder)):
+            yield build_ssp(folder, out, systems, parameter_set=one)
 
 
 def build_demo() -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ndob_fmu.analysis.assumptions import check
+from ndob_fmu.analysis.assumptions import require_own_part
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit import emit_python
 from ndob_fmu.fmu.archive import package
@@ -24,7 +24,7 @@ def build(model: Model, out: str | Path = "build/fmus") -> tuple[Path, Path]:
     Raises AssumptionError where the model's method lacks what it needs at the default parameters, and UsageError where
     the folder cannot be written. A file that exists is replaced only by a complete new one.
     """
-    check(model).require()
+    require_own_part(model)
     folder = Path(out)
     equations, text = compile_model(model), emit_python(model)
     return (

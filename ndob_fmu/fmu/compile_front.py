@@ -8,7 +8,6 @@ the front does is lost.
 
 from __future__ import annotations
 
-import functools
 import logging
 import os
 import platform
@@ -17,7 +16,8 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,6 +100,8 @@ WINDOWS = Platform(
     lost="the FMUs get no front for Windows: there they find only a Python on PATH, guard no calls and must not lie in "
     "a folder with ä # ' in its name; %s",
 )
+# What was compiled in this process, by platform and wished compiler.
+_compiled: dict[tuple[Platform, str], bytes | None] = {}
 _TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B", "String": "S"}
 
 
@@ -109,10 +111,11 @@ def with_front(contents: Mapping[str, bytes], fmu: FmuDescription, guid: str) ->
     The one for Linux is built on x86-64 Linux only. Where nothing compiles a front there is a warning.
     """
     here = (sys.platform, platform.machine()) == ("linux", "x86_64")
+    possible = (LINUX, WINDOWS) if here else (WINDOWS,)
+    binaries = {f"binaries/{target.name}/{fmu.name}{target.suffix}": target for target in possible}
+    targets = {binary: target for binary, target in binaries.items() if binary in contents}
     result = dict(contents)
-    for target in (LINUX, WINDOWS) if here else (WINDOWS,):
-        binary = f"binaries/{target.name}/{fmu.name}{target.suffix}"
-        front = compiled(target) if binary in contents else None
+    for (binary, target), front in zip(targets.items(), compiled(tuple(targets.values())), strict=True):
         if front is not None:
             result |= {binary: front, target.slave_binary: contents[binary]}
             result[DESCRIPTION] = description(fmu, guid, contents).encode()
@@ -158,34 +161,55 @@ def write_rules(folder: Path) -> Path:
     return folder
 
 
-def compiled(target: Platform = LINUX) -> bytes | None:
-    """Return the front's binary, compiled once per process; None, with a warning, if that cannot be done."""
-    return compiled_with(target, os.environ.get(target.variable, ""))
+def compiled(targets: Sequence[Platform]) -> list[bytes | None]:
+    """Return the front's binary for each platform; None, with a warning, where it cannot be compiled.
+
+    The compilers run at once, and once per process.
+    """
+    wished = [(target, os.environ.get(target.variable, "")) for target in targets]
+    with ExitStack() as running:
+        begun = {key: running.enter_context(_compiling(*key)) for key in wished if key not in _compiled}
+        _compiled.update({key: binary() for key, binary in begun.items()})
+    return [_compiled[key] for key in wished]
 
 
-@functools.cache
-def compiled_with(target: Platform, wish: str) -> bytes | None:
-    """Return the front's binary, made by the compiler command `wish`, or by the first one found where that is empty."""
+def forget_compiled() -> None:
+    """Let the next front be compiled anew, for example from other sources."""
+    _compiled.clear()
+
+
+@contextmanager
+def _compiling(target: Platform, wish: str) -> Iterator[Callable[[], bytes | None]]:
+    """Run the compiler command `wish`, or the first one found where that is empty; yield what waits for the binary."""
     compiler = shlex.split(wish) or [name for name in target.compilers if shutil.which(name)][:1]
     if not compiler or not shutil.which(compiler[0]):
         tried = f"{target.variable}={wish}, which is not here" if wish else f"none of {', '.join(target.compilers)}"
         _log.warning(target.lost, f"expected a C compiler, received {tried}")
-        return None
+        yield lambda: None
+        return
     with temporary_folder() as work:
         binary = Path(work, f"front{target.suffix}")
         include = ["-I", str(HEADERS), "-I", str(write_rules(Path(work)))]
         command = [*compiler, *_FLAGS, *target.flags, f"-ffile-prefix-map={SOURCES}=.", *include, *sources(target)]
-        done = subprocess.run(
+        with subprocess.Popen(
             [*command, "-o", str(binary), *target.libraries],
             cwd=SOURCES,
             stdin=subprocess.DEVNULL,
-            capture_output=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            check=False,
-        )
-        if done.returncode != 0 or not binary.exists():
-            said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
-            _log.warning(target.lost, f"expected {compiler[0]} to compile it, received {said}")
-            return None
-        return binary.read_bytes()
+        ) as process:
+
+            def finished() -> bytes | None:
+                _, text = process.communicate()
+                if process.returncode == 0 and binary.exists():
+                    return binary.read_bytes()
+                said = next((line for line in text.splitlines() if "error" in line), f"exit code {process.returncode}")
+                _log.warning(target.lost, f"expected {compiler[0]} to compile it, received {said}")
+                return None
+
+            try:
+                yield finished
+            finally:
+                process.kill()

@@ -129,6 +129,16 @@ def test_what_cannot_work_is_refused_in_one_line_with_what_to_measure_or_leave_o
     assert not list(tmp_path.iterdir())
 
 
+def test_a_build_does_not_measure_what_only_the_other_method_needs(monkeypatch, tmp_path):
+    def measured(*_):
+        raise AssertionError("the slope of f was searched for")
+
+    monkeypatch.setattr("ndob_fmu.analysis.paper_checks.largest_slope", measured)
+    build(replace(MODELS["flexible_joint"], observer=ObserverDefaults(method=2)), tmp_path)
+    with pytest.raises(AssertionError):
+        build(replace(MODELS["flexible_joint"], observer=ObserverDefaults(method=1)), tmp_path)
+
+
 def test_what_is_hardly_seen_is_warned_of_and_not_refused():
     report = check(plant([[0, 1], [-2, -3]], [[0], [1]], [[1, 0]], noise_std=10.0))
     assert report.passed

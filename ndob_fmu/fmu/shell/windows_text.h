@@ -2,6 +2,8 @@
 #ifndef NDOB_WINDOWS_TEXT_H
 #define NDOB_WINDOWS_TEXT_H
 
+#define WIN32_LEAN_AND_MEAN /* half of the time that the compiler takes */
+
 #include <wchar.h>
 #include <windows.h>
 
