@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 
-from ndob_fmu.analysis.check_report import CheckReport, Part
+from ndob_fmu.analysis.check_report import CheckReport, CheckRow, Part
 from ndob_fmu.analysis.estimator_checks import estimator_rows
 from ndob_fmu.analysis.paper_checks import paper_rows
 from ndob_fmu.codegen.compile_model import working_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.support.progress import begin
+
+_Rows = Callable[[Model, float, Mapping[str, float] | None], tuple[CheckRow, ...]]
+_ROWS: Mapping[Part, _Rows] = {"method 2": estimator_rows, "method 1": paper_rows}
+_PRESUPPOSED: Mapping[Part, _Rows] = {**_ROWS, "method 2": partial(estimator_rows, tuned=False)}
 
 
 def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, float] | None = None) -> CheckReport:
@@ -24,7 +29,16 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     no Model, and ModelError for a parameter that the model does not have, or where the plant cannot be evaluated.
     """
     require_model(model)
-    return _report(model, model.observer.alpha if alpha is None else alpha, parameters, ("method 2", "method 1"))
+    return _report(model, model.observer.alpha if alpha is None else alpha, parameters, _ROWS)
+
+
+def required(model: Model, *, alpha: float, parameters: Mapping[str, float] | None) -> CheckReport:
+    """Check as `check` does what a design presupposes, with nothing that depends on the settings it is made for.
+
+    Raises AssumptionError where the model's own method lacks something, and what `check` raises.
+    """
+    require_model(model)
+    return _report(model, alpha, parameters, _PRESUPPOSED).require()
 
 
 def require_own_part(model: Model) -> None:
@@ -33,20 +47,22 @@ def require_own_part(model: Model) -> None:
     Raises AssumptionError where it lacks something, and what `check` raises.
     """
     require_model(model)
-    _report(model, model.observer.alpha, None, (_decides(model),)).require()
+    own = _decides(model)
+    _report(model, model.observer.alpha, None, {own: _ROWS[own]}).require()
 
 
-def _report(model: Model, alpha: float, parameters: Mapping[str, float] | None, parts: Iterable[Part]) -> CheckReport:
+def _report(
+    model: Model, alpha: float, parameters: Mapping[str, float] | None, rows: Mapping[Part, _Rows]
+) -> CheckReport:
     if not (isinstance(alpha, (int, float)) and math.isfinite(alpha) and alpha > 0):
         raise UsageError.report(f"alpha of {model.name}", expected="a finite number > 0 (1/s)", received=repr(alpha))
     working_part(model, parameters)  # which says what cannot be evaluated
     begin(f"measuring modes, ranks and zeros of {model.name}")
-    rows = {"method 2": estimator_rows, "method 1": paper_rows}
     return CheckReport(
         model=model.name,
         alpha=float(alpha),
         decides=_decides(model),
-        parts={part: rows[part](model, float(alpha), parameters) for part in parts},
+        parts={part: of_part(model, float(alpha), parameters) for part, of_part in rows.items()},
     )
 
 

@@ -33,12 +33,14 @@ class Certificate:
     at_sample (q2,): of |d̂ − d| for the sample.
     ahead (q2,): of |d̂ − d| for the end of the step.
     states (n,): of |x̂_i − x_i| at any time.
+    lacking: what a bound would need that is missing; empty where the loop gain decides.
     """
 
     loop_gain: float
     at_sample: Array
     ahead: Array
     states: Array
+    lacking: str = ""
 
     @property
     def exists(self) -> bool:
@@ -52,10 +54,11 @@ class Certificate:
             return [float(v) for v in values] if self.exists else None
 
         return {
-            "loop_gain": self.loop_gain,
+            "loop_gain": None if self.lacking else self.loop_gain,
             "disturbance_at_sample": finite(self.at_sample),
             "disturbance_ahead": finite(self.ahead),
             "states": finite(self.states),
+            "lacking": self.lacking,
         }
 
 
@@ -86,8 +89,9 @@ def certify(
         from_rate = _l1(system, of_d, system.from_w, per_channel=True) @ disturbance_rate
         from_d = _l1(system, of_x, system.from_d, per_channel=True) @ disturbance_bound
         from_w = np.concatenate([from_rate, from_d])
-    from_v = _l1_of_samples(system, rows, design.K.shape[1]) * sample_error
-    alone = from_w + from_v
+    alone = from_w
+    if sample_error > 0.0:
+        alone = from_w + _l1_of_samples(system, rows, design.K.shape[1]) * sample_error
     if system.from_f.shape[1] == 0 or not f_states or lipschitz == 0.0:
         return _certificate(0.0, alone, system, len(disturbance_rate))
     from_f = _l1(system, rows, system.from_f, per_channel=False)[:, 0]
@@ -100,10 +104,11 @@ def certify(
     return _certificate(gain, alone + from_f * lipschitz * largest, system, len(disturbance_rate))
 
 
-def no_certificate(design: StationaryDesign) -> Certificate:
-    """Return the certificate of a plant that no constant matrices describe: none."""
-    system, q = _error_system(design), design.system.linear.G_d.shape[1]
-    return _certificate(np.inf, np.full(2 * q + system.n * _INSTANTS, np.inf), system, q)
+def no_certificate(design: StationaryDesign, lacking: str) -> Certificate:
+    """Return infinite bounds; lacking: what a bound would need."""
+    n, q = design.system.linear.G_d.shape
+    of_d, of_x = np.full(q, np.inf), np.full(n, np.inf)
+    return Certificate(np.inf, of_d, of_d, of_x, lacking)
 
 
 @dataclass(frozen=True)

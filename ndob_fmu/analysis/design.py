@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ndob_fmu.analysis.assumptions import check
+from ndob_fmu.analysis.assumptions import required
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import SampledDataDesign, sampled_data_design
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
@@ -63,7 +63,7 @@ def design(
     alpha = model.observer.alpha if alpha is None else alpha
     if not (np.isfinite(pi) and pi > 0):
         raise UsageError.report("pi", expected="a finite number > 0", received=repr(pi))
-    report = check(model, alpha=alpha, parameters=parameters).require()
+    report = required(model, alpha=alpha, parameters=parameters)
     paper = None
     if of_the_paper or report.holds("method 1"):
         report.require("method 1")

@@ -34,8 +34,12 @@ from ndob_fmu.runtime.step.settings import observer_settings
 _HARDLY_SEEN = 0.5  # of what is known without samples: of a disturbance's bound, of a state's error at the start
 
 
-def estimator_rows(model: Model, alpha: float, parameters: Mapping[str, float] | None) -> tuple[CheckRow, ...]:
+def estimator_rows(
+    model: Model, alpha: float, parameters: Mapping[str, float] | None, *, tuned: bool = True
+) -> tuple[CheckRow, ...]:
     """Return a row for each need of method 2; α (1/s) has a part only where disturbance_order is 0.
+
+    tuned: whether the observer is also tuned at its default settings, to predict its error bars
 
     Raises DesignError where the plant cannot be linearised at its start.
     """
@@ -56,7 +60,7 @@ def estimator_rows(model: Model, alpha: float, parameters: Mapping[str, float] |
         detectable,
         zeros,
         *([] if model.vector_field.has_paper_form else [degrees]),
-        *([_error_bars(model, equations, values)] if detectable.passed and zeros.passed else []),
+        *([_error_bars(model, equations, values)] if tuned and detectable.passed and zeros.passed else []),
         *_direction(model, parameters),
         *separability_rows(model, parameters),
         _pace(model, parameters),

@@ -139,7 +139,8 @@ class SampledDataDesign:
                 f"frozen gain without noise, never more than: {of_d}; states {of_x} (loop gain {bounds.loop_gain:.2g})"
             )
         else:
-            lines.append(f"no bound: the loop gain through f is {bounds.loop_gain:.3g}, not below 1")
+            why = bounds.lacking or f"the loop gain through f is {bounds.loop_gain:.3g}, not below 1"
+            lines.append(f"no bound: {why}")
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
@@ -184,7 +185,7 @@ def sampled_data_design(
     known = observer.known
     if by_pi:
         observer = observer_for((0.0,) * len(disturbance_rate))
-    found = stationary_at(observer, step_size)
+    found, of_constants = _stationary_at(observer, step_size)
     intensity = float(found.intensities.disturbance[-len(known.disturbance_bound)])
     bias, noise = predicted_error(found, known.disturbance_rate)
     error_bar, lagged_error_bar = settled_error_bars(observer, np.array(equations.xhat0), step_size)
@@ -197,6 +198,7 @@ def sampled_data_design(
         order=order,
     )
     bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
+    lacking = _lacking_for_a_bound(model, of_constants=of_constants)
     return SampledDataDesign(
         model=model.name,
         disturbances=tuple(model.unknown_inputs),
@@ -218,15 +220,15 @@ def sampled_data_design(
         error_bar=error_bar,
         lagged_error_bar=lagged_error_bar,
         lag=observer.settings.lag,
-        certificate=certify(
+        certificate=no_certificate(found, lacking)
+        if lacking
+        else certify(
             found,
             disturbance_rate=known.disturbance_rate,
             disturbance_bound=known.disturbance_bound,
             lipschitz=equations.lipschitz,
             f_states=equations.f_states,
-        )
-        if model.vector_field.has_paper_form and found.system is observer.designs.system
-        else no_certificate(found),
+        ),
         warnings=(
             *_warnings(known.disturbance_bound, step_size, bandwidth, bias, noise, by_pi=by_pi),
             *([] if by_pi else pace_warnings(pace, model.unknown_inputs, step_size)),
@@ -234,15 +236,26 @@ def sampled_data_design(
     )
 
 
-def stationary_at(observer: SampledObserver, H: float) -> StationaryDesign:
-    """Return the design of the frozen gain at a step H (s); without one, that with the slopes of f known.
+def _stationary_at(observer: SampledObserver, H: float) -> tuple[StationaryDesign, bool]:
+    """Return the design of the frozen gain at a step H (s), and True; without one, that with the slopes of f known.
 
     Raises DesignError where there is neither.
     """
     try:
-        return observer.design(H)
+        return observer.design(H), True
     except DesignError:
-        return observer.tracking.at(H).stationary
+        return observer.tracking.at(H).stationary, False
+
+
+def _lacking_for_a_bound(model: Model, *, of_constants: bool) -> str:
+    """Return what the proof of a bound lacks; of_constants: whether there is a gain for the constant matrices."""
+    if not model.vector_field.has_paper_form:
+        return "no constant matrices describe the plant"
+    if not of_constants:
+        return "there is no gain that takes f for noise"
+    if model.f_expressions and model.lipschitz is None:
+        return "gamma, the largest slope of f, is not declared (lipschitz)"
+    return ""
 
 
 def _warnings(bound: Array, H: float, bandwidth: float, bias: Array, noise: Array, *, by_pi: bool) -> list[str]:

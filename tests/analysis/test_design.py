@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.analysis.design import design
 from ndob_fmu.analysis.sampled_data_design import SampledDataDesign
 from ndob_fmu.cli import main
@@ -117,6 +118,21 @@ def test_the_command_prints_json_with_the_names_of_the_contract(capsys):
     assert {"L", "W", "M", "poles", "riccati_residual", "K", "M_H", "filter_poles"} <= data.keys()
     assert np.shape(data["K"]) == (6, 2)
     assert data["certificate"]["loop_gain"] < 1.0
+
+
+def test_the_bound_is_the_same_whatever_was_designed_before():
+    first = design(FLEXIBLE, step_size=1e-3).certificate
+    check(FLEXIBLE)
+    again = design(FLEXIBLE, step_size=1e-3).certificate
+    assert first.exists
+    np.testing.assert_array_equal(again.states, first.states)
+
+
+def test_without_a_declared_gamma_there_is_no_bound_and_one_line_says_so():
+    silent = design(replace(FLEXIBLE, lipschitz=None), step_size=1e-3)
+    assert "never more than" not in str(silent)
+    assert "no bound: gamma, the largest slope of f, is not declared (lipschitz)" in str(silent).splitlines()
+    assert np.all(np.isinf(silent.certificate.at_sample))
 
 
 def test_each_output_has_a_noise_of_its_own_and_one_number_is_for_all(capsys):

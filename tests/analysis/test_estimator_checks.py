@@ -139,6 +139,16 @@ def test_a_build_does_not_measure_what_only_the_other_method_needs(monkeypatch, 
         build(replace(MODELS["flexible_joint"], observer=ObserverDefaults(method=1)), tmp_path)
 
 
+def test_a_design_for_other_noise_and_another_step_does_not_tune_the_observer_for_the_models_own(monkeypatch):
+    def tuned(*_):
+        raise AssertionError("the observer was tuned")
+
+    monkeypatch.setattr("ndob_fmu.analysis.estimator_checks.sampled_observer", tuned)
+    assert design(MODELS["flexible_joint"], step_size=2e-3, noise_std=1e-5).step_size == 2e-3
+    with pytest.raises(AssertionError):
+        check(MODELS["flexible_joint"])
+
+
 def test_what_is_hardly_seen_is_warned_of_and_not_refused():
     report = check(plant([[0, 1], [-2, -3]], [[0], [1]], [[1, 0]], noise_std=10.0))
     assert report.passed
@@ -213,7 +223,10 @@ def test_the_design_of_a_plant_without_a_papers_observer_is_that_of_method_2_alo
     assert found.paper is None
     assert found.L is None
     assert not found.certificate.exists
+    assert "no bound: gamma, the largest slope of f, is not declared" in str(found)
     data = json.loads(as_json(found.to_dict()))
+    assert data["certificate"]["disturbance_at_sample"] is None
+    assert data["certificate"]["lacking"].startswith("gamma")
     assert (data["L"], data["riccati_residual"], len(data["K"])) == (None, None, 4)
     assert "no paper's observer" in str(found)
     with pytest.raises(AssumptionError, match="outputs_at_least_unknown_inputs"):
