@@ -20,6 +20,7 @@ from ndob_fmu.analysis.summed_responses import summed
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.numerics.exponential import exponential
+from ndob_fmu.runtime.numerics.units import units_of_inputs
 
 _INSTANTS = 5
 _QUADRATURE = 16
@@ -113,7 +114,10 @@ def no_certificate(design: StationaryDesign, lacking: str) -> Certificate:
 
 @dataclass(frozen=True)
 class _ErrorSystem:
-    """ξ̃ with the disturbance itself added for r = 0: A (N,N), update J (N,N) and K (N,p), inputs (N,·)."""
+    """ξ̃ with the disturbance itself added for r = 0: A (N,N), update J (N,N) and K (N,p), inputs (N,·).
+
+    units (N,): as in `Augmented`.
+    """
 
     n: int
     H: float
@@ -123,6 +127,11 @@ class _ErrorSystem:
     from_w: Array
     from_d: Array
     from_f: Array
+    units: Array
+
+    def after(self, t: float) -> Array:
+        """Return e^{A t}."""
+        return exponential(self.A * t, self.units)
 
 
 @dataclass(frozen=True)
@@ -142,6 +151,7 @@ class _Rows:
 def _error_system(design: StationaryDesign) -> _ErrorSystem:
     linear, H = design.system.linear, design.discrete.H
     n, q = linear.G_d.shape
+    units = design.system.units
     if design.system.order:
         A, K, J = design.system.A, design.K, np.eye(len(design.K)) - design.K @ design.system.C
         from_w = design.system.noise
@@ -152,8 +162,9 @@ def _error_system(design: StationaryDesign) -> _ErrorSystem:
         J = np.eye(n + q)
         J[:n, :n] -= design.K @ linear.C
         from_w = np.eye(n + q)[:, n:]
+        units = np.concatenate([units, units_of_inputs(linear.G_d * H, units)])
     from_d, from_f = (np.vstack([G, np.zeros((len(A) - n, G.shape[1]))]) for G in (linear.G_d, linear.G_f))
-    return _ErrorSystem(n=n, H=H, A=A, J=J, K=K, from_w=from_w, from_d=from_d, from_f=from_f)
+    return _ErrorSystem(n=n, H=H, A=A, J=J, K=K, from_w=from_w, from_d=from_d, from_f=from_f, units=units)
 
 
 def _outputs(system: _ErrorSystem, design: StationaryDesign) -> _Rows:
@@ -163,7 +174,7 @@ def _outputs(system: _ErrorSystem, design: StationaryDesign) -> _Rows:
     pick = np.eye(N)[n : n + q]
     if design.M_H is None:
         at_sample, sampled = pick @ system.J, -pick @ system.K
-        ahead = pick @ exponential(system.A * H)
+        ahead = pick @ system.after(H)
         blocks = [
             (at_sample, sampled, 0.0, np.zeros((q, N))),
             (ahead @ system.J, -ahead @ system.K, H, pick),
@@ -172,7 +183,7 @@ def _outputs(system: _ErrorSystem, design: StationaryDesign) -> _Rows:
         at_sample = pick - design.M_H @ np.hstack([design.system.C, np.zeros((p, q))])
         blocks = [(at_sample, -design.M_H, 0.0, np.zeros((q, N))), (at_sample, -design.M_H, H, pick)]
     for s in np.linspace(0.0, H, _INSTANTS):
-        later = exponential(system.A * s)[:n]
+        later = system.after(float(s))[:n]
         blocks.append((later @ system.J, -later @ system.K, s, np.eye(N)[:n]))
     return _Rows(
         on_state=np.vstack([block[0] for block in blocks]),
@@ -194,7 +205,7 @@ def _l1(system: _ErrorSystem, rows: _Rows, channels: Array, *, per_channel: bool
     def over(length: float) -> tuple[Array, Array]:
         """Return e^{A t} channels at the nodes of [0, length], and their weights."""
         times = 0.5 * length * (1.0 + nodes)
-        return np.array([exponential(system.A * t) @ channels for t in times]), 0.5 * length * weights
+        return np.array([system.after(float(t)) @ channels for t in times]), 0.5 * length * weights
 
     total = np.zeros((len(rows.instant), channels.shape[1] if per_channel else 1))
     for instant in np.unique(rows.instant):
@@ -209,13 +220,13 @@ def _l1(system: _ErrorSystem, rows: _Rows, channels: Array, *, per_channel: bool
         sizes = size(responses.reshape(len(responses), -1, k, c))
         return np.asarray(np.moveaxis(sizes, 2, 3) @ weight)
 
-    before = exponential(system.A * system.H) @ system.J
+    before = system.after(system.H) @ system.J
     return total + summed(added, rows.on_state, before, _side_by_side(step), by_element=per_channel)
 
 
 def _l1_of_samples(system: _ErrorSystem, rows: _Rows, p: int) -> Array:
     """Return Σ |response to the samples' errors| (R,), summed over the outputs."""
-    Phi = exponential(system.A * system.H)
+    Phi = system.after(system.H)
 
     def added(responses: Array) -> Array:
         return np.asarray(np.sum(np.abs(responses.reshape(len(responses), -1, p)), axis=-1))

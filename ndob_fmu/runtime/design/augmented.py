@@ -15,6 +15,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.exponential import exponential
+from ndob_fmu.runtime.numerics.units import natural_units, units_of_inputs
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Augmented:
     noise (N,·): the channel of the noise of intensity s.
     f_noise (N,·): the channel of the noise of intensity s_f.
     selector (q2,N): picks d = δ₁ out of ξ; None for r = 0, where d is read from the output error.
+    units (N,): of ξ, powers of two, in which A and R^{-1/2} C are near one. Norms of A mean something only there.
     """
 
     linear: LinearPart
@@ -36,6 +38,7 @@ class Augmented:
     noise: Array = field(repr=False)
     f_noise: Array = field(repr=False)
     selector: Array | None = field(repr=False)
+    units: Array = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,13 @@ class Discrete:
     held_f: Array = field(repr=False)
 
 
-def augment(linear: LinearPart, order: int) -> Augmented:
-    """Return the augmented system of disturbance order r = 0 … 3."""
+def augment(linear: LinearPart, order: int, noise_std: Array | None = None) -> Augmented:
+    """Return the augmented system of disturbance order r = 0 … 3; noise_std (p,): of a sample, ones if None."""
     n, q = linear.G_d.shape
+    noise_std = np.ones(len(linear.C)) if noise_std is None else noise_std
     if order == 0:
-        return Augmented(linear, 0, linear.A, linear.C, linear.G, np.zeros((n, 0)), None)
+        units = natural_units(linear.A, linear.C / noise_std[:, None])
+        return Augmented(linear, 0, linear.A, linear.C, linear.G, np.zeros((n, 0)), None, units)
     N = n + order * q
     A = np.zeros((N, N))
     A[:n, :n] = linear.A
@@ -82,6 +87,7 @@ def augment(linear: LinearPart, order: int) -> Augmented:
         noise=np.eye(N)[:, N - q :],
         f_noise=np.vstack([f_channel, np.zeros((order * q, f_channel.shape[1]))]),
         selector=np.eye(N)[n : n + q],
+        units=natural_units(A, C / noise_std[:, None]),
     )
 
 
@@ -90,35 +96,37 @@ def discretise(system: Augmented, H: float, alpha: float) -> Discrete:
     N = len(system.A)
     shift = alpha * np.eye(N) if system.order == 0 else 0.0
     shifted = system.A + shift
-    linear = system.linear
+    linear, units = system.linear, system.units
+    n = len(linear.A)
     return Discrete(
         H=H,
-        Phi=exponential(system.A * H),
-        filter_phi=exponential(shifted * H),
-        noise_factor=_noise_factor(shifted, system.noise, H),
-        f_noise_factor=_noise_factor(shifted, system.f_noise, H),
-        drive=_held(system.A, system.noise, H),
-        held_disturbance=_held(linear.A, linear.G_d, H),
-        held_f=np.vstack([_held(linear.A, linear.G_f, H), np.zeros((N - len(linear.A), linear.G_f.shape[1]))]),
+        Phi=exponential(system.A * H, units),
+        filter_phi=exponential(shifted * H, units),
+        noise_factor=_noise_factor(shifted, system.noise, H, units),
+        f_noise_factor=_noise_factor(shifted, system.f_noise, H, units),
+        drive=_held(system.A, system.noise, H, units),
+        held_disturbance=_held(linear.A, linear.G_d, H, units[:n]),
+        held_f=np.vstack([_held(linear.A, linear.G_f, H, units[:n]), np.zeros((N - n, linear.G_f.shape[1]))]),
     )
 
 
-def _held(A: Array, channel: Array, H: float) -> Array:
+def _held(A: Array, channel: Array, H: float, units: Array) -> Array:
     """Return ∫₀ᴴ e^{At} dt g: what an input of one, held over the step, adds to the state."""
     n, q = channel.shape
     joined = np.zeros((n + q, n + q))
     joined[:n] = np.hstack([A, channel]) * H
-    return exponential(joined)[:n, n:]
+    return exponential(joined, np.concatenate([units, units_of_inputs(joined[:n, n:], units)]))[:n, n:]
 
 
-def _noise_factor(A: Array, channel: Array, H: float) -> Array:
+def _noise_factor(A: Array, channel: Array, H: float, units: Array) -> Array:
     """Return F with F Fᵀ = ∫₀ᴴ e^{At} g gᵀ e^{Aᵀt} dt, by Gauss–Legendre quadrature of the factor itself.
 
     Van Loan's formula gives F Fᵀ, whose small entries (H^{2k}) are lost to rounding before a factor could be taken.
     """
+    A, channel = A * units / units[:, None], channel / units[:, None]
     nodes, weights = np.polynomial.legendre.leggauss(8 + min(56, int(np.linalg.norm(A, 1) * H)))
     columns = [
         np.sqrt(0.5 * H * weight) * exponential(A * (0.5 * H * (1.0 + node))) @ channel
         for node, weight in zip(nodes, weights, strict=True)
     ]
-    return np.hstack(columns)
+    return np.hstack(columns) * units[:, None]

@@ -20,6 +20,7 @@ from ndob_fmu.runtime.numerics.kalman import (
     update,
     whitening,
 )
+from ndob_fmu.runtime.numerics.units import units_of_inputs
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,9 @@ class StationaryDesign:
         chain = np.zeros((n + 2 * q_d, n + 2 * q_d))
         chain[:n, :n], chain[:n, n : n + q_d] = linear.A, linear.G_d
         chain[n : n + q_d, n + q_d :] = np.eye(q_d)
-        sampled = forward(z.T, exponential(chain * H)[:n])
+        of_d = units_of_inputs(chain[:n, n : n + q_d] * H, self.system.units)
+        units = np.concatenate([self.system.units, of_d, units_of_inputs(H * np.eye(q_d), of_d)])
+        sampled = forward(z.T, exponential(chain * H, units)[:n])
         from_d, from_rate = sampled[:, n : n + q_d], sampled[:, n + q_d :]
         return z.settled(from_rate - z.settled(from_d * H))
 

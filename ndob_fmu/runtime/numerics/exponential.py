@@ -19,8 +19,10 @@ _PADE = (17297280.0, 8648640.0, 1995840.0, 277200.0, 25200.0, 1512.0, 56.0, 1.0)
 _PADE_RADIUS = 0.95
 
 
-def exponential(X: Array) -> Array:
-    """Return e^X for X (n,n) by scaling and squaring."""
+def exponential(X: Array, units: Array | None = None) -> Array:
+    """Return e^X for X (n,n) by scaling and squaring; its norm counts in `units` (n,) of its rows and columns."""
+    if units is not None:
+        return np.asarray(exponential(X * units / units[:, None]) * units[:, None] / units)
     squarings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(X, 1)) / _PADE_RADIUS, 1e-300)))))
     X = X / 2.0**squarings
     X2 = X @ X

@@ -56,11 +56,19 @@ class Transition:
     responses: Array
 
 
-def transition(F: Array, channel: Array, H: float, held: Array, parts: tuple[float, ...]) -> Transition:
+def transition(
+    F: Array, channel: Array, H: float, held: Array, parts: tuple[float, ...], units: Array | None = None
+) -> Transition:
     """Return a step H > 0 s, for F (N,N), the noise's channel g (N,g), and `held` columns (N,h).
+
+    units (N,): powers of two, of ξ, in which ‖F‖ is measured; ones if None
 
     The number of columns of N depends on ‖F‖ H only by whether that exceeds 1/2.
     """
+    if units is not None:
+        rows = units[:, None]
+        done = transition(F * (units / rows), channel / rows, H, held / rows, parts)
+        return Transition(done.Phi * (rows / units), done.noise * rows, done.responses * rows)
     size = float(np.abs(F).sum(axis=0).max()) * H
     doublings = min(max(0, ceil(log2(size / _RADIUS))), _MOST_DOUBLINGS) if size > _RADIUS else 0
     h = H / 2.0**doublings

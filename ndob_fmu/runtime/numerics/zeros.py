@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.numerics.units import nearest_to_one
 
 ComplexArray = NDArray[np.complex128]
 
 RANK_TOLERANCE = 1e-10
 AXIS_TOLERANCE = 1e-9  # of the larger of |z| and the plant's own rate: a zero this close to the axis is on it
-_REWEIGHTINGS = 20
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,7 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
     """Return the system in the units of states, unknown inputs, outputs and time that bring its entries nearest to one.
 
     The logarithms of the non-zero entries are fitted by least squares, so that the result is the same whatever units
-    the plant was written in, up to the rounding of each scale to a power of two, which keeps the scaling exact. The fit
-    is Huber's, so that an entry that is a rounding error, far below all others, has no more weight than any other.
+    the plant was written in, up to the rounding of each scale to a power of two, which keeps the scaling exact.
     """
     n, q, p = len(A), G.shape[1], len(C)
     entries, rows = [], []
@@ -59,13 +58,7 @@ def balance(A: Array, G: Array, C: Array) -> Balanced:
             row[-1] = -1.0 if timed else 0.0
             rows.append(row)
             entries.append(np.log2(abs(matrix[i, j])))
-    exponents = np.zeros(n + q + p + 1)
-    if rows:
-        system, logarithms = np.array(rows), np.array(entries)
-        weights = np.ones(len(rows))
-        for _ in range(_REWEIGHTINGS):
-            exponents = np.linalg.lstsq(weights[:, None] * system, -weights * logarithms, rcond=None)[0]
-            weights = 1.0 / np.sqrt(np.maximum(1.0, abs(logarithms + system @ exponents)))
+    exponents = nearest_to_one(np.array(rows).reshape(-1, n + q + p + 1), np.array(entries))
     scales = np.exp2(np.round(exponents))
     states, inputs, outputs, rate = scales[:n], scales[n : n + q], scales[n + q : -1], float(scales[-1])
     return Balanced(

@@ -149,8 +149,8 @@ def frozen_memory(
         return replace(memory, columns=memory.columns.with_factor(stationary.prior_factor))
     spacing = max(1, round(model.jump_spacing / design.H))
     signatures = []
-    A = stationary.system.A
-    responses = transition(A, np.zeros((len(A), 0)), design.H, model.jump_channel, AFTER_JUMPS).responses
+    A, units = stationary.system.A, stationary.system.units
+    responses = transition(A, np.zeros((len(A), 0)), design.H, model.jump_channel, AFTER_JUMPS, units).responses
     mu = model.signatures_in_step(responses)
     for age in range(LENGTH * spacing):
         if age % spacing == 0:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers
+from ndob_fmu.runtime.numerics.units import units_of_inputs
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
 from ndob_fmu.runtime.step.filter_state import SensorMemory
@@ -32,6 +33,7 @@ class FilterModel:
     scale: factor on the standard deviations of all noises, as in `Intensities`
     start_std (N,): standard deviations of ξ before the first sample
     undriven (n,): intensity of the noise on states that nothing else drives, over the step
+    natural_units (n + r q2,): of x and the series of d, as in `Augmented`
     least_noise (p,): the least ratio of a variance of noise to the one that was told
     jump_spacing: between two hypotheses of a jump (s)
     """
@@ -44,6 +46,7 @@ class FilterModel:
     scale: float
     start_std: Array = field(repr=False)
     undriven: Array = field(repr=False)
+    natural_units: Array = field(repr=False)
     least_noise: Array = field(repr=False)
     jump_spacing: float
 
@@ -207,6 +210,12 @@ class FilterModel:
         if sensitivity is not None:
             F[:n, layout.parameters] = sensitivity[:n]
         return F
+
+    def units(self, F: Array, H: float) -> Array:
+        """Return units (N,) of ξ, powers of two, in which norms of F of `rates` count, for a step H (s)."""
+        layout, n = self.layout, self.layout.n
+        of_parameters = units_of_inputs(F[:n, layout.parameters] * H, self.natural_units[:n])
+        return np.concatenate([self.natural_units, np.ones(len(layout.biased)), of_parameters])
 
     def output_slopes(self, xi: Array, u: Vector) -> Array:
         """Return C (p,N) of y, linearised at ξ̂ (N or more,) and u (m,)."""

@@ -105,14 +105,14 @@ def prepared(kind: type[P], equations: Equations, parameters: Vector, settings: 
         rounding=rounding,
         undriven=_undriven(working, settings, x_hat),
         designs=StepDesigns(
-            system=augment(linear, order),
+            system=augment(linear, order, noise),
             known=known,
             x_std=std,
             alpha=settings.alpha,
             pi=settings.pi,
         ),
         tracking=StepDesigns(
-            system=augment(working, order),
+            system=augment(working, order, noise),
             known=replace(known, lipschitz=0.0),
             x_std=std,
             alpha=settings.alpha,

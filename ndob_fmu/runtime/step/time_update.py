@@ -62,17 +62,18 @@ def predict(
     end = predict_mean(model, xi, u, H)
     F, F_end = model.rates(xi, u), model.rates(end, u)
     mean = 0.5 * (F + F_end)
-    change = float(np.abs(F_end - F).sum(axis=0).max()) * H
+    units = model.units(mean, H)
+    change = float(np.abs((F_end - F) * units / units[:, None]).sum(axis=0).max()) * H
     if change <= _STRAIGHT:
-        done = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS)
+        done = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS, units)
         columns = _moved(model, xi, columns, u, H, done, starting=starting)
         return Predicted(end, columns, done.Phi, done.responses)
     parts = int(min(np.ceil(change / _STRAIGHT), _MOST_PARTS)) if isfinite(change) else _MOST_PARTS
-    jumps, whole = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS).responses, np.eye(len(F))
+    jumps, whole = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS, units).responses, np.eye(len(F))
     for _ in range(parts):
         end = predict_mean(model, xi, u, H / parts)
         F_end = model.rates(end, u)
-        done = transition(0.5 * (F + F_end), channel, H / parts, model.jump_channel, ())
+        done = transition(0.5 * (F + F_end), channel, H / parts, model.jump_channel, (), units)
         columns = _moved(model, xi, columns, u, H / parts, done, starting=starting)
         whole, xi, F = done.Phi @ whole, end, F_end
     return Predicted(end, columns, whole, jumps)

@@ -113,6 +113,7 @@ def filter_model(observer: PreparedObserver, scale: float, jump_spacing: float) 
             ]
         ),
         undriven=observer.undriven,
+        natural_units=observer.tracking.system.units,
         least_noise=np.ones(len(observer.noise_std))
         if scale > 1.0
         else np.maximum((observer.rounding / observer.noise_std) ** 2, LEAST_RATIO),
