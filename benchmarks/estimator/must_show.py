@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from benchmarks.estimator import clean_rows, fault_rows, gallery_rows, sensor_rows, statement_rows
+from benchmarks.estimator import clean_rows, fault_rows, gallery_rows, model_files, sensor_rows, statement_rows
 from benchmarks.estimator.figures import Figure
 from benchmarks.estimator.tasks import Seeds, Task
 
@@ -24,6 +24,12 @@ def measured(pattern: str, seeds: Sequence[int], in_parallel: Parallel, workers:
     jobs = [(_run_named, task.name, tuple(seeds)) for task in tasks(pattern)]
     found = [figure for figures in in_parallel("estimator", jobs, workers) for figure in figures]
     return [*found, *clean_rows.together(found)]
+
+
+def measured_models(paths: Sequence[str], seeds: Sequence[int], in_parallel: Parallel, workers: int) -> list[Figure]:
+    """Return the figures of model files."""
+    jobs = [(model_files.beside_the_filter, tuple(seeds), path) for path in paths]
+    return [figure for figures in in_parallel("models", jobs, workers) for figure in figures]
 
 
 def _run_named(name: str, seeds: Seeds) -> list[Figure]:

@@ -6,7 +6,8 @@ nothing of how this package takes the equations apart.
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Sequence
+from functools import cache, reduce
 from math import pi
 from pathlib import Path
 from types import SimpleNamespace
@@ -57,12 +58,11 @@ def textbook_plant(
 
 
 def slope_of(model: Model) -> Slope:
-    """Return ẋ (…,n) of x (…,n), u (…,m), d (…,q) and the parameters, from `model.dynamics`."""
+    """Return ẋ (…,n) of x (…,n), u (…,m), d (…,q) and the parameters, from the equations as they stand in the file."""
     groups = (model.states, model.inputs, model.disturbances, model.parameters)
-    spaces = [SimpleNamespace(**{name: sympy.Symbol(name) for name in group}) for group in groups]
-    rows = list(model.dynamics(*spaces))
-    symbols = [[getattr(space, name) for name in group] for space, group in zip(spaces, groups, strict=True)]
-    derivatives = sympy.lambdify([symbol for group in symbols for symbol in group], rows, "numpy", cse=True)
+    symbols = [model.symbols[name] for group in groups for name in group]
+    rows = [_without_extremes(sympy.sympify(row)) for row in _rows(model, groups)]
+    derivatives = sympy.lambdify(symbols, rows, [_EXTREMES, "numpy"], cse=True)
 
     def slope(x: Any, u: Any, d: Any, p: Parameters) -> Any:
         columns = [values[..., i] for values in (x, u, d) for i in range(values.shape[-1])]
@@ -70,6 +70,33 @@ def slope_of(model: Model) -> Slope:
         return np.stack(np.broadcast_arrays(*values), axis=-1)
 
     return slope
+
+
+def _rows(model: Model, groups: Sequence[Sequence[str]]) -> list[Any]:
+    """Return ẋ (n,) in the model's symbols, from `dynamics`, or from the matrices and f."""
+    spaces = [SimpleNamespace(**{name: model.symbols[name] for name in group}) for group in groups]
+    if model.dynamics is not None:
+        return list(model.dynamics(*spaces))
+    x, u, d = (sympy.Matrix(len(group), 1, [model.symbols[name] for name in group]) for group in groups[:3])
+    f = [] if model.f is None else list(model.f(spaces[0], spaces[1], spaces[3]))
+    total = model.A * x + model.G_d * d
+    if u:
+        total += model.B * u
+    if f:
+        total += model.G_f * sympy.Matrix(f)
+    return list(total)
+
+
+# NumPy's printer takes the extremes of numbers and arrays apart wrongly; these also take complex steps.
+_EXTREMES = {
+    "largest": lambda *values: reduce(np.maximum, values),
+    "smallest": lambda *values: reduce(np.minimum, values),
+}
+
+
+def _without_extremes(row: sympy.Expr) -> sympy.Expr:
+    largest, smallest = map(sympy.Function, _EXTREMES)
+    return row.replace(sympy.Max, lambda *a: largest(*a)).replace(sympy.Min, lambda *a: smallest(*a))
 
 
 @cache

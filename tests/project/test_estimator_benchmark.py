@@ -17,6 +17,7 @@ from benchmarks.estimator.clean_rows import together
 from benchmarks.estimator.comparison import cells
 from benchmarks.estimator.figures import Figure
 from benchmarks.estimator.kalman import ExtendedKalmanFilter, UnscentedKalmanFilter, ekf, out_of_sequence, smoothed
+from benchmarks.estimator.model_files import beside_the_filter, plant_of_file
 from benchmarks.estimator.ours import NotAvailableError, RefusedError, ours, ours_of, parameters_of, plant_run
 from benchmarks.estimator.page import ESTIMATORS, Results, sections
 from benchmarks.estimator.plants import CYLINDER, JOINT, LAG, MOTOR, PLANTS
@@ -24,6 +25,7 @@ from benchmarks.estimator.records import Record, jump, simulate
 from benchmarks.estimator.scores import Score, score, settling_time
 from benchmarks.estimator.tasks import Task
 from ndob_fmu.cosim import FmuComponent
+from ndob_fmu.errors import ModelError
 from ndob_fmu.fmu import build
 
 H = 5e-3
@@ -357,6 +359,61 @@ def test_tasks_and_cells_have_names_of_their_own():
     assert {task.name for task in must_show.tasks("^lag")} == {"lag 25 ms", "lag 50 ms"}
     keys = [(cell.group, cell.plant.name, cell.text) for cell in cells()]
     assert len(set(keys)) == len(keys)
+
+
+# -- model files of users
+
+VALVE = """
+import sympy
+from ndob_fmu import Experiment, Model, ObserverDefaults
+
+m = sympy.Symbol("mass")
+model = Model(
+    name="Valve", states=["position", "speed"], inputs=["opening"], outputs=OUTPUTS, disturbances=["force"],
+    A=[[0, 1], [0, -2 / m]], B=[[0], [0]], G_d=[[0], [1 / m]], G_f=[[0], [1]], C=C,
+    f=lambda x, u, p: [u.opening * sympy.sqrt(sympy.Max(2 - x.speed, 1)) * sympy.Min(x.position, 3, p.mass)],
+    parameters={"mass": 2.0}, noise_std=1e-3, disturbance_bound=4.0, xhat0_std=[0.1, 0.1],
+    observer=ObserverDefaults(disturbance_rate=4.0 * 36.0), experiment=Experiment(stop_time=2.0, step_size=0.01),
+)
+
+def control(t, y):
+    return [-5.0 * y[0]]
+"""
+
+
+def valve(tmp_path, outputs='["position"]', C="[[1, 0]]"):
+    path = tmp_path / "valve.py"
+    path.write_text(VALVE.replace("OUTPUTS", outputs).replace("C=C", f"C={C}"), "utf-8")
+    return str(path)
+
+
+def test_the_equations_of_a_model_file_are_taken_as_they_stand(tmp_path):
+    plant, disturbance = plant_of_file(valve(tmp_path))
+    x, u, d = np.array([[0.5, -1.0], [4.0, 1.5]]), np.array([[0.3], [-0.2]]), np.array([[1.0], [2.0]])
+    flow = u[:, 0] * np.sqrt(np.maximum(2.0 - x[:, 1], 1.0)) * np.minimum(x[:, 0], 2.0)
+    expected = np.column_stack([x[:, 1], -x[:, 1] + 0.5 * d[:, 0] + flow])
+    np.testing.assert_allclose(plant.slope(x, u, d, plant.parameters), expected, rtol=1e-13)
+    assert disturbance is None
+    assert plant.pace == pytest.approx(3.0 / math.pi)
+    assert plant.substep < 0.01 / 4
+    np.testing.assert_array_equal(plant.control(0.0, np.array([[0.1], [0.2]]), {}, 0.01), [[-0.5], [-1.0]])
+
+
+def test_a_model_file_gets_rows_beside_the_filter(tmp_path):
+    tuned, same, covered, valid = beside_the_filter((1,), valve(tmp_path))
+    assert same.measured == pytest.approx(same.limit / 1.15, rel=0.03)
+    assert tuned.measured == same.measured
+    assert [figure.short for figure in (tuned, covered, valid)] == [False] * 3
+
+
+def test_a_model_file_whose_outputs_are_not_linear_is_refused(tmp_path):
+    model = valve(tmp_path).replace("valve.py", "curved.py")
+    text = VALVE.replace("OUTPUTS", '{"angle": lambda x, u, p: sympy.sin(x.position)}')
+    start, end = text.index("    A="), text.index("    parameters=")
+    dynamics = "    dynamics=lambda x, u, d, p: [x.speed, u.opening + d.force],\n"
+    (tmp_path / "curved.py").write_text(text[:start] + dynamics + text[end:], "utf-8")
+    with pytest.raises(ModelError, match="states, or sums of them"):
+        plant_of_file(model)
 
 
 def test_the_page_shows_every_estimator_and_says_what_is_missing():
