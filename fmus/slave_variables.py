@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import isfinite, nan
+from math import nan
 from typing import Any
 
 from ndob_fmu.interface.fmi_rules import NOT_SETTABLE, SETTABLE, role
-from ndob_fmu.interface.variables import Variable
+from ndob_fmu.interface.variables import Variable, expected_value, is_acceptable
 from ndob_fmu.runtime.base_errors import NdobError
 
 # The Python type of each type of FMI, and the range of its Integer.
@@ -122,21 +122,6 @@ def is_declared(variable: Variable, value: Any) -> bool:
 
 def parameter_fault(variable: Variable, value: Any) -> NdobError | None:
     """Return what is wrong with the value of a parameter."""
-    expected = _acceptable(variable, value)
-    return NdobError.report(variable.name, expected=expected, received=repr(value)) if expected else None
-
-
-def _acceptable(variable: Variable, value: Any) -> str:
-    """Return what was expected of a parameter's value, "" if the value is acceptable."""
-    if variable.type in ("Boolean", "String"):
-        return ""
-    if variable.items is not None:
-        allowed = ", ".join(f"{number} ({item})" for item, number in variable.items.items())
-        return "" if value in variable.items.values() else f"one of {allowed}"
-    too_small = (variable.minimum is not None and value < variable.minimum) or (variable.positive and value <= 0.0)
-    too_large = variable.maximum is not None and value > variable.maximum
-    if isfinite(value) and not too_small and not too_large:
-        return ""
-    least = "" if variable.minimum is None else " > 0" if variable.positive else f" of at least {variable.minimum:g}"
-    most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
-    return f"a finite number{least}{most}"
+    if is_acceptable(variable, value):
+        return None
+    return NdobError.report(variable.name, expected=expected_value(variable), received=repr(value))

@@ -39,7 +39,7 @@ def package(path: Path, fmu: FmuDescription, code: Bundle, documentation: Mappin
     root.set("guid", guid := _guid(root, contents))
     contents["modelDescription.xml"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     with atomic_path(path) as target:
-        _write(target, with_front(contents, fmu, guid) | dict(documentation))
+        write_archive(target, with_front(contents, fmu, guid) | dict(documentation))
     return path
 
 
@@ -67,7 +67,8 @@ def _guid(root: ET.Element, contents: Mapping[str, bytes]) -> str:
     return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, whole.hexdigest())}}}"
 
 
-def _write(path: Path, contents: Mapping[str, bytes]) -> None:
+def write_archive(path: Path, contents: Mapping[str, bytes]) -> None:
+    """Write the archive `path` with these files, by their path in it."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in sorted(contents):
             entry = zipfile.ZipInfo(name, _FIXED_TIME)

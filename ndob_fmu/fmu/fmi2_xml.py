@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 
 import ndob_fmu
-from ndob_fmu.fmu.fmu_description import DeclaredType, FmuDescription, declared_types, type_key
+from ndob_fmu.fmu.fmu_description import DeclaredType, FmuDescription, declared_types, log_categories, type_key
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.equations import Experiment
 from ndob_fmu.support.units import base_unit
@@ -27,18 +27,13 @@ _CAPABILITIES = {
     "canRunAsynchronuously": "false",  # as FMI 2.0 spells it
     "providesDirectionalDerivative": "false",
 }
-_LOG_CATEGORIES = {
-    "logStatusWarning": "Log messages with fmi2Warning status.",
-    "logStatusDiscard": "Log messages with fmi2Discard status.",
-    "logStatusError": "Log messages with fmi2Error status.",
-    "logStatusFatal": "Log messages with fmi2Fatal status.",
-    "logAll": "Log all messages.",
-}
 _INITIAL = {"output": "calculated", "parameter": "exact"}  # of an input FMI fixes it
 
 
-def model_description(fmu: FmuDescription) -> ET.Element:
+def model_description(fmu: FmuDescription, sources: Sequence[str] = ()) -> ET.Element:
     """Return the element `fmiModelDescription` of an FMU, with an empty GUID that the build sets afterwards.
+
+    sources: the C files that a native FMU carries in sources/; without any, PythonFMU runs it
 
     It names no time, so that the same FMU has the same bytes. Raises ModelError for an invalid unit.
     """
@@ -47,25 +42,31 @@ def model_description(fmu: FmuDescription) -> ET.Element:
         "fmiVersion": "2.0",
         "modelName": fmu.name,
         "guid": "",
-        "generationTool": f"ndob-fmu {ndob_fmu.__version__}, with PythonFMU {version('pythonfmu')}",
+        "generationTool": f"ndob-fmu {ndob_fmu.__version__}"
+        + ("" if sources else f", with PythonFMU {version('pythonfmu')}"),
         "variableNamingConvention": "structured",
         "description": fmu.text,
     }
     root = ET.Element("fmiModelDescription", attributes)
-    ET.SubElement(root, "CoSimulation", _CAPABILITIES | {"modelIdentifier": fmu.name})
-    _unit_definitions(root, fmu.variables)
+    cosimulation = ET.SubElement(root, "CoSimulation", _CAPABILITIES | {"modelIdentifier": fmu.name})
+    if sources:
+        listed = ET.SubElement(cosimulation, "SourceFiles")
+        for name in sources:
+            ET.SubElement(listed, "File", {"name": name})
+    unit_definitions(root, fmu.variables)
     _type_definitions(root, types.values())
     categories = ET.SubElement(root, "LogCategories")
-    for name, text in _LOG_CATEGORIES.items():
+    for name, text in log_categories("fmi2").items():
         ET.SubElement(categories, "Category", {"name": name, "description": text})
-    _default_experiment(root, fmu.experiment)
+    default_experiment(root, fmu.experiment)
     _model_variables(root, fmu.variables, types)
     _model_structure(root, fmu.variables)
     ET.indent(root)
     return root
 
 
-def _unit_definitions(root: ET.Element, variables: Iterable[Variable]) -> None:
+def unit_definitions(root: ET.Element, variables: Iterable[Variable]) -> None:
+    """Add the units of the variables, with what each means in base units; FMI 3 writes them in the same way."""
     names = sorted({variable.unit for variable in variables if variable.unit})
     definitions = ET.SubElement(root, "UnitDefinitions") if names else root
     for name in names:
@@ -89,7 +90,8 @@ def _type_definitions(root: ET.Element, types: Iterable[DeclaredType]) -> None:
             ET.SubElement(simple, "Real", quantity | {"unit": declared.unit})
 
 
-def _default_experiment(root: ET.Element, experiment: Experiment) -> None:
+def default_experiment(root: ET.Element, experiment: Experiment) -> None:
+    """Add the default experiment; FMI 3 writes it in the same way."""
     times = {"startTime": 0.0, "stopTime": experiment.stop_time, "stepSize": experiment.step_size}
     ET.SubElement(root, "DefaultExperiment", {name: repr(float(time)) for name, time in times.items()})
 
@@ -107,15 +109,15 @@ def _model_variables(root: ET.Element, variables: Iterable[Variable], types: Map
             "initial": _INITIAL.get(variable.causality),
         }
         typed = {
-            "start": _text(variable.type, variable.start),
+            "start": as_text(variable.type, variable.start),
             "declaredType": declared.name if declared else None,
             "unit": variable.unit or None,
-            "min": _text(variable.type, variable.minimum),
-            "max": _text(variable.type, variable.maximum),
-            "nominal": _text(variable.type, variable.nominal),
+            "min": as_text(variable.type, variable.minimum),
+            "max": as_text(variable.type, variable.maximum),
+            "nominal": as_text(variable.type, variable.nominal),
         }
-        element = ET.SubElement(listed, "ScalarVariable", _given(scalar))
-        ET.SubElement(element, variable.type, _given(typed))
+        element = ET.SubElement(listed, "ScalarVariable", given(scalar))
+        ET.SubElement(element, variable.type, given(typed))
 
 
 def _model_structure(root: ET.Element, variables: Sequence[Variable]) -> None:
@@ -135,11 +137,12 @@ def _model_structure(root: ET.Element, variables: Sequence[Variable]) -> None:
         ET.SubElement(initial, "Unknown", {"index": own, "dependencies": " ".join(map(str, known))})
 
 
-def _given(attributes: Mapping[str, str | None]) -> dict[str, str]:
+def given(attributes: Mapping[str, str | None]) -> dict[str, str]:
+    """Return the attributes that have a value."""
     return {name: value for name, value in attributes.items() if value is not None}
 
 
-def _text(kind: str, value: float | int | bool | str | None) -> str | None:
+def as_text(kind: str, value: float | int | bool | str | None) -> str | None:
     """Return a value as XML writes it; a Real with all the digits that tell it from its neighbours."""
     if value is None or isinstance(value, str):
         return value

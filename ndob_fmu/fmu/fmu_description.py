@@ -38,6 +38,8 @@ _QUANTITIES = {
     "s": "Time",
 }
 
+_STATUSES = ("Warning", "Discard", "Error", "Fatal")
+
 
 @dataclass(frozen=True)
 class FmuDescription:
@@ -69,6 +71,12 @@ class DeclaredType:
     unit: str = ""
     quantity: str = ""
     items: tuple[tuple[str, int, str], ...] = ()
+
+
+def log_categories(prefix: str) -> dict[str, str]:
+    """Return the log categories with what each holds, where the statuses begin with `prefix`."""
+    statuses = {f"logStatus{name}": f"Log messages with {prefix}{name} status." for name in _STATUSES}
+    return statuses | {"logAll": "Log all messages."}
 
 
 def declared_types(variables: Sequence[Variable]) -> dict[str, DeclaredType]:

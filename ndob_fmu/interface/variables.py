@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,28 @@ class Variable:
         if self.causality == "parameter":
             return "fixed"
         return "continuous" if self.type == "Real" and not self.sampled else "discrete"
+
+
+def expected_value(variable: Variable) -> str:
+    """Return what a message says is expected of a parameter's value; "" where every value is good."""
+    if variable.type in ("Boolean", "String"):
+        return ""
+    if variable.items is not None:
+        return "one of " + ", ".join(f"{number} ({item})" for item, number in variable.items.items())
+    least = "" if variable.minimum is None else " > 0" if variable.positive else f" of at least {variable.minimum:g}"
+    most = "" if variable.maximum is None else f" and at most {variable.maximum:g}"
+    return f"a finite number{least}{most}"
+
+
+def is_acceptable(variable: Variable, value: Any) -> bool:
+    """Return whether a value of the parameter's type is one that it may have."""
+    if variable.type in ("Boolean", "String"):
+        return True
+    if variable.items is not None:
+        return value in variable.items.values()
+    too_small = (variable.minimum is not None and value < variable.minimum) or (variable.positive and value <= 0.0)
+    too_large = variable.maximum is not None and value > variable.maximum
+    return isfinite(value) and not too_small and not too_large
 
 
 def parameter(

@@ -1,4 +1,4 @@
-"""The trees of the generated functions hold no Python: printed in C and compiled, they give the same numbers."""
+"""The trees of the generated functions hold no Python: printed in C and compiled, they give the same bits."""
 
 from __future__ import annotations
 
@@ -13,49 +13,125 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
 
 from ndob_fmu.codegen.build_definitions import build_definitions
 from ndob_fmu.codegen.build_step import build_steps
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.codegen.print_c import RUNTIME, print_function, statements
 from ndob_fmu.codegen.program import Return
+from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.runtime.generated_steps import ConvergedGain
 from ndob_fmu.runtime.numerics.integrate import NODES
-from tests.codegen.c_printer import RUNTIME, print_function, statements
 from tests.codegen.test_generated_step import ALL
 from tests.helpers.needs import C_COMPILER
 
 pytestmark = C_COMPILER
 NAMES = ["flexible_joint", "three_tank", "tool_on_arm", "kinks", "tall, three channels, unmatched"]
-# Both call the same functions of the C library, on the same operations in the same order.
-WITHIN = 1e-14
+# What the generated steps call, as `runtime.numerics.integrate` has it.
+OF_THE_RUNTIME = """
+#include <math.h>
+#include <float.h>
+
+static int is_finite(double number) { return fabs(number) <= DBL_MAX; }
+static int is_nan(double number) { return !(fabs(number) <= HUGE_VAL); }
+
+static double largest(const double *ratios, int count) {
+    double sum = 0.0, most = 0.0;
+    for (int i = 0; i < count; i++) { sum += ratios[i]; most = fmax(most, ratios[i]); }
+    return is_finite(sum) ? most : INFINITY;
+}
+
+static double length_after(double length, double norm) {
+    double grow = norm > 0.0 ? fmin(5.0, fmax(0.2, 0.9 * pow(norm, -0.2))) : 5.0;
+    return length * (norm > 1.0 ? fmin(grow, 0.9) : grow);
+}
+
+static void next_substep(double begin, double tried, double count, double norm, double t_end,
+                         double *t, double *length, double *left, double *trials, double *planned) {
+    *t = norm <= 1.0 ? begin + tried : begin;
+    *left = t_end - *t;
+    *planned = length_after(tried, norm);
+    *length = *planned >= *left * (1.0 - 1e-12) ? *left : *planned;
+    int too_many = count >= 100000 || (count == 10000 && *left > 100000 * *planned)
+        || (count >= 30 && *left * count > 500 * *t && *left > 500 * *planned);
+    *trials = too_many || !is_finite(norm) ? 0 : count + 1;
+}
+"""
+EXCEPTIONS = {ZeroDivisionError: 2, ValueError: 3, OverflowError: 4}
+
+
+def _hard(x, u, d, p):
+    a, b, c, e = x.a, x.b, x.c, x.e
+    return [
+        sympy.sqrt(a)
+        + b**3 / (c * e)
+        - sympy.log(b)
+        + d.d
+        + sympy.Rational(1, 3) * sympy.Abs(a) ** sympy.Rational(1, 3),
+        sympy.exp(-a / c) + sympy.Max(a, b, 0.25) * sympy.Min(c, e) + sympy.sign(b) * a**2,
+        sympy.Piecewise((a / b, (a > 0) & (b > 1)), (sympy.exp(c), sympy.Or(c < 0, e >= 2)), (1 / e, True)) + u.u,
+        sympy.tanh(a) * sympy.atan2(b, c) + sympy.Mod(a, 3) + sympy.sin(b) / sympy.pi - 2 * c / 3 + p.k * e**-2,
+    ]
+
+
+# Where a function has no value.
+HARD = Model(
+    name="Hard",
+    states=("a", "b", "c", "e"),
+    inputs=("u",),
+    disturbances=("d",),
+    parameters={"k": 2.0},
+    dynamics=_hard,
+    outputs={"y": lambda x, u, p: x.a},
+    x0=(1.0, 1.5, 1.0, 1.0),
+    xhat0=(1.0, 1.5, 1.0, 1.0),
+    disturbance_bound=1.0,
+)
 
 
 @functools.cache
 def library(name):
     """Return the model's generated functions as a C library."""
-    field = ALL[name].vector_field
+    field = (ALL | {"hard": HARD})[name].vector_field
     text = "\n".join(
         [
+            OF_THE_RUNTIME,
             RUNTIME,
             *map(print_function, [build() for build in {**build_definitions(field), **build_steps(field)}.values()]),
         ]
     )
     with tempfile.TemporaryDirectory() as folder:
         source, built = Path(folder, "model.c"), Path(folder, "model.so")
-        source.write_text(text)
+        source.write_text(text.replace("static int ", "int "))
         # Neither fuses multiplications with additions: what is rounded once in Python is rounded once in C.
-        options = ["-std=gnu11", "-O1", "-ffp-contract=off", "-shared", "-fPIC", str(source), "-lm", "-o", str(built)]
+        options = [
+            "-std=c99",
+            "-Wall",
+            "-Wextra",
+            "-Wpedantic",
+            "-Wconversion",
+            "-Werror",
+            "-O2",
+            "-ffp-contract=off",
+            "-shared",
+            "-fPIC",
+            str(source),
+            "-lm",
+            "-o",
+            str(built),
+        ]
         subprocess.run([*shlex.split(os.environ.get("CC", "cc")), *options], check=True)
         return ctypes.CDLL(str(built))
 
 
 def in_c(name, function, *arguments, count):
-    """Return the first `count` numbers of the function's result, None where it fails; arrays are passed as such."""
+    """Return the first `count` numbers of the function's result, or its fault; arrays are passed as such."""
     passed = [ctypes.c_double(a) if isinstance(a, float) else (ctypes.c_double * (len(a) or 1))(*a) for a in arguments]
     result = (ctypes.c_double * (count or 1))()
-    done = getattr(library(name), function)(*passed, result)
-    return list(result)[:count] if done else None
+    fault = getattr(library(name), function)(*passed, result)
+    return fault or list(result)[:count]
 
 
 def flat(value):
@@ -65,8 +141,7 @@ def flat(value):
 
 def assert_same(name, function, expected, *arguments):
     expected = flat(expected)
-    found = in_c(name, function, *arguments, count=len(expected))
-    np.testing.assert_allclose(found, expected, rtol=WITHIN, atol=WITHIN * max(map(abs, expected), default=0.0))
+    np.testing.assert_array_equal(in_c(name, function, *arguments, count=len(expected)), expected)
 
 
 @pytest.fixture(params=NAMES)
@@ -103,10 +178,7 @@ def test_the_trial_of_the_plant_in_c_gives_the_numbers_of_python(case):
         k = eq.steps.plant_constants(p)
         assert_same(name, "plant_constants", k, p)
         tried = eq.steps.plant_trial(x, u, d, k, h)
-        found = in_c(name, "plant_trial", x, u, d, k, h, count=len(x) + 1)
-        np.testing.assert_allclose(found[:-1], tried.x, rtol=WITHIN, atol=WITHIN * max(map(abs, tried.x)))
-        # The error is a difference of numbers of the size of x, in units of a tolerance of 1e-12.
-        assert found[-1] == pytest.approx(tried.error_norm, rel=1e-6, abs=0.05)
+        assert_same(name, "plant_trial", (*tried.x, tried.error_norm), x, u, d, k, h)
 
 
 @pytest.mark.parametrize(("H", "second"), [(1e-3, 0.0), (1e-3, 2.0), (0.1, 0.0), (0.1, 2.0)])
@@ -120,7 +192,7 @@ def test_the_step_of_the_observer_in_c_gives_the_numbers_of_python(case, H, seco
     k = eq.steps.observer_constants(p)
     squares = tuple(random.uniform(0.5, 1.5, len(eq.outputs)).tolist())
     step = eq.steps.observer_step(xi_hat, inputs, squares, k, gain, H)
-    assert_same(name, "observer_step", tuple(step), xi_hat, inputs, squares, k, numbers_of(gain), H)
+    assert_same(name, "observer_step", tuple(step), xi_hat, inputs, squares, k, *numbers_of(gain), H)
 
 
 def converged_gain(eq, q, random, gate=100.0):
@@ -136,8 +208,8 @@ def converged_gain(eq, q, random, gate=100.0):
 
 
 def numbers_of(gain):
-    """Return the fields of the structure one after another, as C takes them."""
-    return tuple(number for field in fields(gain) for number in getattr(gain, field.name))
+    """Return the fields of the structure as arrays, one after another, as C takes them."""
+    return tuple(getattr(gain, field.name) for field in fields(gain))
 
 
 @pytest.mark.parametrize("which", ["outside the gate", "not finite", "too long"])
@@ -150,11 +222,27 @@ def test_a_step_that_the_generated_code_leaves_to_the_definition_is_left_in_c_to
     xi_hat, H = (*x, *(0.0,) * (HIGHEST_ORDER * q)), 1e9 if which == "too long" else 1e-3
     k = eq.steps.observer_constants(p)
     squares, arguments = (1.0,) * len(eq.outputs), numbers_of(gain)
+    fault = 1
     try:
         assert eq.steps.observer_step(xi_hat, (*u, *sample), squares, k, gain, H) is None
-    except (ArithmeticError, ValueError):
-        assert which == "too long"  # Python raises where numbers overflow, C goes on with infinity
-    assert in_c(name, "observer_step", xi_hat, (*u, *sample), squares, k, arguments, H, count=1000) is None
+    except (ArithmeticError, ValueError) as error:
+        fault = EXCEPTIONS[type(error)]
+    assert in_c(name, "observer_step", xi_hat, (*u, *sample), squares, k, *arguments, H, count=1000) == fault
+
+
+def test_a_function_without_a_value_has_the_fault_in_c_that_python_raises():
+    random, eq, counted = np.random.default_rng(2), compile_model(HARD), set()
+    for _ in range(300):
+        x = random.choice([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1e-300, 1e3, -1e200, 1e308, np.inf, np.nan], size=4)
+        u, p = tuple(random.normal(size=1).tolist()), tuple(eq.parameters.values())
+        arguments = (tuple(x.tolist()), u, (0.5,), p)
+        try:
+            expected = list(eq.derivatives(*arguments))
+        except (ArithmeticError, ValueError) as error:
+            expected = EXCEPTIONS[type(error)]
+            counted.add(expected)
+        np.testing.assert_array_equal(in_c("hard", "derivatives", *arguments, count=4), expected)
+    assert counted == {2, 3, 4}
 
 
 def test_the_named_results_have_the_fields_of_the_runtimes_structures():

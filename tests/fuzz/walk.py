@@ -160,10 +160,12 @@ class Walk:
         wrong = (
             (None, ""),
             (None, b"", other.guid.encode(), library.guid.encode()[:-1]),
-            (None, b"", b"file:///nowhere", other.resources.encode(), b"\xff%"),
+            (None, b"", b"file:///nowhere", other.resources.encode(), b"\xff%") if library.reads_resources else (),
             (0, 2, -1),
             (None,),
         )[place]
+        if not wrong:
+            return
         right[place] = self.random.choice(wrong)
         self.note(f"{self.made} {library.name} Instantiate {right}")
         self.made += 1

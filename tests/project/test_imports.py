@@ -78,6 +78,7 @@ ALLOWED = {
     "codegen": (*LEAVES, "runtime", "model"),
     "analysis": (*LEAVES, "runtime", "model", "codegen"),
     "fmu": (*LEAVES, "runtime", "interface", "model", "codegen", "analysis"),
+    "native": (*LEAVES, "runtime", "interface", "model", "codegen", "fmu"),
     "results": LEAVES,
     "cosim": (*LEAVES, "runtime.base_errors", "results"),
     "study": (*LEAVES, "results", "cosim"),

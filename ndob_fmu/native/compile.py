@@ -1,0 +1,136 @@
+"""The binaries of a native FMU, one for each platform: zig's compiler for all of them, or the system's for this one."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ndob_fmu.errors import UsageError
+from ndob_fmu.support.temporary import temporary_folder
+
+
+@dataclass(frozen=True)
+class Platform:
+    """How a binary is made for a platform.
+
+    folders: the platform's folder in binaries/ in FMI 2 and in FMI 3
+    suffix: of a library there
+    targets: zig's names of its processors; of several, one universal binary is made
+    options: of the compiler
+    runs_here: `sys.platform` and processor on which the system's compiler makes it
+    """
+
+    folders: tuple[str, str]
+    suffix: str
+    targets: tuple[str, ...]
+    options: tuple[str, ...]
+    runs_here: tuple[str, str]
+
+
+PLATFORMS: Mapping[str, Platform] = {
+    "linux64": Platform(
+        ("linux64", "x86_64-linux"),
+        ".so",
+        ("x86_64-linux-gnu.2.17",),
+        ("-fPIC", "-Wl,--build-id=none"),
+        ("linux", "x86_64"),
+    ),
+    "win64": Platform(
+        ("win64", "x86_64-windows"), ".dll", ("x86_64-windows-gnu",), ("-D_WIN32_WINNT=0x0601",), ("win32", "AMD64")
+    ),
+    "darwin64": Platform(
+        ("darwin64", "x86_64-darwin"),
+        ".dylib",
+        ("x86_64-macos.11", "aarch64-macos.11"),
+        ("-Wl,-install_name,@rpath/model.dylib",),
+        ("darwin", ""),
+    ),
+    "aarch64-linux": Platform(
+        ("aarch64-linux", "aarch64-linux"),
+        ".so",
+        ("aarch64-linux-gnu.2.17",),
+        ("-fPIC", "-Wl,--build-id=none"),
+        ("linux", "aarch64"),
+    ),
+}
+_OPTIONS = ("-std=c11", "-O2", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
+
+
+def binary(name: str, files: Mapping[str, str], target: str) -> bytes:
+    """Return the library of a native FMU for a platform, one of PLATFORMS.
+
+    name: of the FMU, which is that of its C file too
+    files: C files by their names
+
+    Raises UsageError where no compiler makes it.
+    """
+    chosen = PLATFORMS[target]
+    with temporary_folder() as work:
+        for file, text in files.items():
+            Path(work, file).write_text(text, "utf-8")
+        built = [
+            _compiled(Path(work), f"{name}.c", f"{place}{chosen.suffix}", [*command, *chosen.options], target)
+            for place, command in enumerate(_compilers(chosen, target))
+        ]
+        return built[0] if len(built) == 1 else universal(built)
+
+
+def _compilers(chosen: Platform, target: str) -> list[list[str]]:
+    """Return the commands that compile for the platform, one for each of its processors."""
+    if importlib.util.find_spec("ziglang"):
+        return [[sys.executable, "-m", "ziglang", "cc", "-target", each] for each in chosen.targets]
+    system, processor = chosen.runs_here
+    is_here = sys.platform == system and processor in ("", platform.machine())
+    wish = shlex.split(os.environ.get("CC", ""))
+    compiler = wish or [each for each in ("cc", "gcc", "clang") if shutil.which(each)][:1]
+    if is_here and compiler and shutil.which(compiler[0]):
+        return [compiler]
+    raise UsageError.report(
+        f"--platforms {target}",
+        expected="zig's compiler" + (", or a C compiler as CC or cc" if is_here else ""),
+        received="none",
+        likely="the extra is not installed: pip install 'ndob-fmu[native]'",
+    )
+
+
+def _compiled(work: Path, source: str, output: str, command: Sequence[str], target: str) -> bytes:
+    done = subprocess.run(
+        [*command, *_OPTIONS, source, "-o", output, *(() if target == "win64" else ("-lm",))],
+        cwd=work,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    library = work / output
+    if done.returncode == 0 and library.exists():
+        return library.read_bytes()
+    said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
+    raise UsageError.report(f"--platforms {target}", expected=f"{command[0]} to compile {source}", received=said)
+
+
+# The header of a universal binary (Apple's <mach-o/fat.h>), and the alignment of its parts, 2¹⁴ bytes.
+_FAT_MAGIC, _ALIGNMENT = 0xCAFEBABE, 14
+
+
+def universal(thin: Sequence[bytes]) -> bytes:
+    """Return one binary for macOS made of Mach-O binaries for one processor each."""
+    size = 1 << _ALIGNMENT
+    header, parts, place = struct.pack(">II", _FAT_MAGIC, len(thin)), b"", size
+    for each in thin:
+        processor, subtype = struct.unpack("<II", each[4:12])
+        header += struct.pack(">IIIII", processor, subtype, place, len(each), _ALIGNMENT)
+        padded = each + bytes(-len(each) % size)
+        parts += padded
+        place += len(padded)
+    return header.ljust(size, b"\0") + parts

@@ -1,0 +1,69 @@
+/* What the shell needs of an FMU: its variables and the component that computes. The build writes both.
+ *
+ * The shell is FMI's functions (fmi2.c or fmi3.c) over one instance (instance.c): it checks each call against FMI's rules,
+ * keeps modes, values, times, states and log, and hands on what is allowed to the component. All memory of an instance is
+ * one block, whose size is known when the FMU is built. */
+#ifndef NDOB_FMU_H
+#define NDOB_FMU_H
+
+#include <float.h>
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* The macros of math.h are for any type, which compilers warn of. */
+static bool is_finite(double number) { return fabs(number) <= DBL_MAX; }
+static bool is_nan(double number) { return !(fabs(number) <= HUGE_VAL); }
+
+/* As FMI numbers them, in both versions. */
+typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
+
+#define TEXT_SIZE 1024 /* bytes of the value of a String variable, its end included */
+#define MESSAGE_SIZE 1200 /* bytes of 300 characters in UTF-8 */
+
+typedef struct {
+    const char *name;
+    char type; /* R, I, E (an enumeration), B, S */
+    char role; /* i input, f fixed parameter, t tunable parameter, o what is calculated */
+    double start;
+    const char *text; /* start value of a String; else NULL */
+    double least, most; /* of a parameter's value */
+    bool above; /* the least value is itself not allowed */
+    const char *expected; /* of a parameter, for a message; NULL where every value is good */
+} Variable;
+
+typedef struct Instance Instance;
+
+/* What a component gets with each call. It writes outputs and state; where it returns false it has said why and leaves
+ * the state as it was. */
+typedef struct {
+    const double *values; /* of all variables, by value reference */
+    const char (*texts)[TEXT_SIZE]; /* of the String variables, in their order */
+    double *outputs; /* in their order; where the call fails they are not shown */
+    void *core; /* what follows from the parameters, and room to compute in */
+    void *state; /* what is remembered from step to step: bytes without pointers */
+    Instance *instance;
+} Call;
+
+typedef struct {
+    const char *token; /* guid in FMI 2, instantiationToken in FMI 3 */
+    const Variable *variables; /* by value reference */
+    uint32_t count;
+    uint32_t first_output, output_count;
+    const uint32_t *parameters; /* their references */
+    uint32_t parameter_count, text_count;
+    size_t core_size, state_size;
+    bool (*start)(const Call *call, double start_time); /* make the core from the parameters, and the first state */
+    bool (*show)(const Call *call); /* the outputs at the start, for the inputs set so far */
+    bool (*step)(const Call *call, double time, double step_size);
+    bool (*possible)(const Call *call, double begin, double now); /* whether the core can be in this state */
+} Fmu;
+
+static const Fmu fmu;
+
+/* Say what was expected and received, in one line of at most 300 characters; `likely` may be empty. */
+static void say(Instance *self, Status status, const char *where, const char *expected, const char *received,
+         const char *likely);
+
+#endif

@@ -1,0 +1,94 @@
+"""The C source of an FMU: one file, which any C99 compiler takes, and FMI's headers beside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmpy
+
+from ndob_fmu.fmu.rules_header import rules_header
+from ndob_fmu.interface.variables import Variable
+from ndob_fmu.native.variable_table import counts, quoted, variable_table
+
+SHELL = Path(__file__).parent / "shell"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+_FRONT_SHELL = Path(__file__).parents[1] / "fmu" / "shell"
+_SHELL = ("text.c", "log.c", "handles.c", "environment.c", "values.c", "instance.c", "states.c")
+_HEADER_FILES = {
+    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+_BEGINNING = """\
+/* {name}, written by ndob-fmu; do not edit. C99, without any library but the compiler's own. */
+
+/* A product and a sum are rounded one after the other, as everywhere: fused, they would give other bits. */
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("fp-contract=off")
+#else
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+#include <math.h>
+#include <string.h>
+"""
+
+
+@dataclass(frozen=True)
+class ComponentCode:
+    """What computes, as C text.
+
+    text: definitions of the functions `start`, `show`, `step` and `possible`, of the types `Core` and `State`, and of
+        all that these use
+    """
+
+    text: str
+
+
+def sources(name: str, token: str, variables: Sequence[Variable], code: ComponentCode, fmi: int) -> dict[str, str]:
+    """Return the C files of an FMU by their names.
+
+    token: guid in FMI 2, instantiationToken in FMI 3
+    fmi: FMI's version, 2 or 3
+    """
+    members = f".token = {quoted(token)}, {counts(variables)}, .core_size = sizeof(Core), .state_size = sizeof(State)"
+    functions = ", ".join(f".{function} = {function}" for function in ("start", "show", "step", "possible"))
+    parts = [
+        _BEGINNING.format(name=name),
+        _without_local_includes(SHELL / "fmu.h"),
+        code.text,
+        variable_table(variables),
+        f"static const Fmu fmu = {{{members}, {functions}}};\n",
+        rules_header(),
+        _without_local_includes(SHELL / "shell.h"),
+        _without_local_includes(_FRONT_SHELL / "utf8.c"),
+        *(_without_local_includes(SHELL / file) for file in (*_SHELL, f"fmi{fmi}.c")),
+    ]
+    if fmi == 3:
+        parts.append(_unsupported_of_fmi3())
+    headers = {file: (HEADERS / file).read_text("utf-8") for file in _HEADER_FILES[fmi]}
+    return {f"{name}.c": "\n".join(parts), **headers}
+
+
+def _without_local_includes(path: Path) -> str:
+    """Return a source without what is joined to it, but with FMI's headers."""
+    text = path.read_text("utf-8")
+    return re.sub(r'(?m)^#include "(?!fmi\d)[^"]*"\n', "", text)
+
+
+def _unsupported_of_fmi3() -> str:
+    """Return the functions of FMI 3.0 that these FMUs do not have, from FMI's own header."""
+    types = (HEADERS / "fmi3FunctionTypes.h").read_text("utf-8")
+    own = set(re.findall(r"\bfmi3\w+(?=\()", (SHELL / "fmi3.c").read_text("utf-8")))
+    own |= {f"fmi3{way}{kind}" for way in ("Get", "Set") for kind in ("Float64", "Int32", "Int64", "Boolean")}
+    functions = []
+    for name, arguments in re.findall(r"typedef fmi3Status (fmi3\w+)TYPE\s*\(([^;]*)\);", types):
+        if name in own:
+            continue
+        names = [re.sub(r"\[\]", "", argument).split()[-1].lstrip("*") for argument in arguments.split(",")]
+        unused = "".join(f", (void){each}" for each in names[1:]).removeprefix(", ")
+        body = f"{unused + '; ' if unused else ''}return unsupported(instance, {quoted(name)});"
+        functions.append(f"fmi3Status {name}({' '.join(arguments.split())}) {{ {body} }}")
+    return "\n".join(functions) + "\n"
