@@ -1,0 +1,733 @@
+#include "nd.h"
+
+#include <float.h>
+#include <stdarg.h>
+#include <stdio.h>
+
+/* Without contraction every product is rounded, as in Python; so results are the same on every processor. */
+#if !defined __GNUC__ || defined __clang__ /* gcc does not know it, and has the option -ffp-contract=off */
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+const nd nd_none = {NULL, -1, {0, 0, 0, 0}, {0, 0, 0, 0}};
+
+/* -- memory */
+
+enum { ND_ALIGNMENT = 16 };
+
+void nd_start(nd_arena *a, void *block, size_t bytes) {
+    uintptr_t odd = (uintptr_t)block % ND_ALIGNMENT, skipped = odd ? ND_ALIGNMENT - odd : 0;
+    memset(a, 0, sizeof *a);
+    a->base = (char *)block + skipped;
+    a->size = bytes > skipped ? bytes - skipped : 0;
+}
+
+void *nd_take_bytes(nd_arena *a, size_t bytes) {
+    void *p = a->base + a->used;
+    bytes = (bytes + ND_ALIGNMENT - 1) / ND_ALIGNMENT * ND_ALIGNMENT;
+    if (bytes > a->size - a->used) longjmp(*a->full, 1);
+    a->used += bytes;
+    if (a->used > a->high) a->high = a->used;
+    return p;
+}
+
+void nd_raise(nd_arena *a, int error, const char *format, ...) {
+    va_list arguments;
+    a->error = error;
+    va_start(arguments, format);
+    (void)vsnprintf(a->message, sizeof a->message, format, arguments);
+    va_end(arguments);
+}
+
+static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) {
+    uintptr_t at = (uintptr_t)p, base = (uintptr_t)a->base;
+    return at >= base + from && at < base + to;
+}
+
+nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, 1}; }
+
+void nd_keep_end(nd_keeping *k) {
+    size_t bytes = k->a->used - k->top;
+    memmove(k->a->base + k->mark, k->a->base + k->top, bytes);
+    k->a->used = k->mark + bytes;
+}
+
+/* First pass: copy a block that would be given back behind all others. Returns whether this is the first pass. */
+bool nd_keep_block(nd_keeping *k, void **p, size_t bytes) {
+    if (k->pass == 1 && bytes && is_inside(k->a, *p, k->mark, k->top)) {
+        void *copy = nd_take_bytes(k->a, bytes);
+        memcpy(copy, *p, bytes);
+        *p = copy;
+    }
+    return k->pass == 1;
+}
+
+/* Second pass: point to where `nd_keep_end` moves the copy. */
+void nd_keep_shift(nd_keeping *k, void **p) {
+    if (k->pass == 2 && is_inside(k->a, *p, k->top, k->a->used)) *p = (char *)*p - (k->top - k->mark);
+}
+
+void nd_keep_array(nd_keeping *k, nd *x) {
+    void *p;
+    if (x->rank < 0) return;
+    if (k->pass == 1) {
+        if (is_inside(k->a, x->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
+        return;
+    }
+    p = x->p;
+    nd_keep_shift(k, &p);
+    x->p = p;
+}
+
+static bool is_compact(nd x) {
+    for (int i = x.rank - 1, s = 1; i >= 0; i--) {
+        if (x.s[i] != s && x.n[i] != 1) return false;
+        s *= x.n[i];
+    }
+    return true;
+}
+
+nd nd_keep(nd_arena *a, size_t mark, nd x) {
+    if (x.rank >= 0 && is_inside(a, x.p, mark, a->used)) {
+        nd_keeping k = {a, mark, a->used, 2};
+        size_t bytes = (size_t)nd_size(x) * sizeof(double);
+        if (is_compact(x)) {
+            memmove(a->base + mark, x.p, bytes);
+            x.p = (double *)(void *)(a->base + mark);
+            a->used = mark;
+            (void)nd_take_bytes(a, bytes ? bytes : 1);
+            return x;
+        }
+        x = nd_copy(a, x);
+        nd_keep_array(&k, &x);
+        nd_keep_end(&k);
+        return x;
+    }
+    a->used = mark;
+    return x;
+}
+
+static bool is_nan(double x) { return x != x; }
+
+/* -- loops: every array as one of four axes, the first ones of length one */
+
+typedef struct {
+    int n[ND_RANK];
+} shape4;
+
+static shape4 shape_of(nd x) {
+    shape4 r;
+    for (int i = 0; i < ND_RANK; i++) {
+        int axis = i - ND_RANK + x.rank;
+        r.n[i] = axis < 0 ? 1 : x.n[axis];
+    }
+    return r;
+}
+
+/* The strides of x over a shape, 0 along axes that it does not have or in which its length is one. */
+static void strides_over(nd x, const shape4 *over, int *s) {
+    for (int i = 0; i < ND_RANK; i++) {
+        int axis = i - ND_RANK + x.rank;
+        s[i] = axis < 0 || (x.n[axis] == 1 && over->n[i] != 1) ? 0 : x.s[axis];
+    }
+}
+
+#define ND_LOOP3(o)                           \
+    for (int i0 = 0; i0 < (o).n[0]; i0++)     \
+        for (int i1 = 0; i1 < (o).n[1]; i1++) \
+            for (int i2 = 0; i2 < (o).n[2]; i2++)
+#define ND_ROW(x, s) ((x).p + i0 * (s)[0] + i1 * (s)[1] + i2 * (s)[2])
+
+/* -- making arrays */
+
+nd nd_new(nd_arena *a, int rank, const int *n) {
+    nd x = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
+    int size = 1;
+    for (int i = rank - 1; i >= 0; i--) {
+        x.n[i] = n[i] > 0 ? n[i] : 0;
+        x.s[i] = size;
+        size *= x.n[i];
+    }
+    x.p = nd_take_bytes(a, sizeof(double) * (size_t)(size ? size : 1));
+    return x;
+}
+
+nd nd_full(nd_arena *a, int rank, const int *n, double value) {
+    nd x = nd_new(a, rank, n);
+    for (int i = 0, size = nd_size(x); i < size; i++) x.p[i] = value;
+    return x;
+}
+
+nd nd_full_like(nd_arena *a, nd x, double value) { return nd_full(a, x.rank, x.n, value); }
+
+nd nd_scalar(nd_arena *a, double value) { return nd_full(a, 0, NULL, value); }
+
+nd nd_vector(nd_arena *a, int n, const double *values) {
+    nd x = nd_new(a, 1, &n);
+    memcpy(x.p, values, sizeof(double) * (size_t)n);
+    return x;
+}
+
+nd nd_view(int n, double *values) { return (nd){values, 1, {n, 1, 1, 1}, {1, 1, 1, 1}}; }
+
+nd nd_eye(nd_arena *a, int rows, int columns, int k) {
+    nd x = nd_full(a, 2, (int[]){rows, columns}, 0.0);
+    for (int i = 0; i < x.n[0]; i++)
+        if (i + k >= 0 && i + k < x.n[1]) x.p[i * x.n[1] + i + k] = 1.0;
+    return x;
+}
+
+nd nd_tri(nd_arena *a, int n) {
+    nd x = nd_full(a, 2, (int[]){n, n}, 0.0);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) x.p[i * n + j] = 1.0;
+    return x;
+}
+
+nd nd_copy(nd_arena *a, nd x) {
+    nd r;
+    if (x.rank < 0) return x;
+    r = nd_new(a, x.rank, x.n);
+    nd_put(r, x);
+    return r;
+}
+
+nd nd_arange(nd_arena *a, int start, int stop) {
+    nd x = nd_new(a, 1, (int[]){stop - start});
+    for (int i = 0; i < x.n[0]; i++) x.p[i] = start + i;
+    return x;
+}
+
+nd nd_linspace(nd_arena *a, double low, double high, int n) {
+    nd x = nd_new(a, 1, &n);
+    double step = n > 1 ? (high - low) / (n - 1) : 0.0;
+    for (int i = 0; i < n; i++) x.p[i] = i * step + low;
+    if (n > 1) x.p[n - 1] = high;
+    return x;
+}
+
+nd nd_geomspace(nd_arena *a, double low, double high, int n) {
+    nd x = nd_linspace(a, 0.0, log10(high / low), n);
+    for (int i = 0; i < n; i++) x.p[i] = pow(10.0, x.p[i]) * low;
+    if (n > 0) x.p[0] = low;
+    if (n > 1) x.p[n - 1] = high;
+    return x;
+}
+
+/* -- reading and writing entries */
+
+int nd_len(nd x) { return x.n[0]; }
+
+int nd_size(nd x) {
+    int size = 1;
+    for (int i = 0; i < x.rank; i++) size *= x.n[i];
+    return size;
+}
+
+double nd_item(nd x) { return *x.p; }
+
+double nd_at(nd x, int i) { return x.p[(i < 0 ? x.n[0] + i : i) * x.s[0]]; }
+
+double nd_at2(nd x, int i, int j) { return x.p[(i < 0 ? x.n[0] + i : i) * x.s[0] + (j < 0 ? x.n[1] + j : j) * x.s[1]]; }
+
+void nd_set(nd x, int i, double value) { x.p[(i < 0 ? x.n[0] + i : i) * x.s[0]] = value; }
+
+static int bounded(int at, int n) {
+    if (at < 0) at += n;
+    return at < 0 ? 0 : at > n ? n : at;
+}
+
+nd nd_get(nd x, int count, const nd_ix *at) {
+    nd r = {x.p, 0, {1, 1, 1, 1}, {1, 1, 1, 1}};
+    int axis = 0;
+    for (int i = 0; i < count; i++) {
+        int start, stop;
+        if (at[i].kind == ND_NEW) {
+            r.n[r.rank] = 1, r.s[r.rank++] = 0;
+            continue;
+        }
+        if (at[i].kind == ND_AT) {
+            r.p += (at[i].a < 0 ? x.n[axis] + at[i].a : at[i].a) * x.s[axis];
+            axis++;
+            continue;
+        }
+        start = bounded(at[i].a, x.n[axis]);
+        stop = at[i].b == ND_END ? x.n[axis] : bounded(at[i].b, x.n[axis]);
+        r.p += start * x.s[axis];
+        r.n[r.rank] = stop > start ? stop - start : 0;
+        r.s[r.rank++] = x.s[axis++];
+    }
+    for (; axis < x.rank; axis++) r.n[r.rank] = x.n[axis], r.s[r.rank++] = x.s[axis];
+    return r;
+}
+
+nd nd_row(nd x, int i) { return nd_get(x, 1, (nd_ix[]){{ND_AT, i, 0}}); }
+
+void nd_put(nd x, nd value) {
+    shape4 o = shape_of(x);
+    int sx[ND_RANK], sv[ND_RANK];
+    strides_over(x, &o, sx);
+    strides_over(value, &o, sv);
+    ND_LOOP3(o) {
+        double *to = ND_ROW(x, sx);
+        const double *from = ND_ROW(value, sv);
+        if (sx[3] == 1 && sv[3] == 1) memmove(to, from, sizeof(double) * (size_t)o.n[3]);
+        else
+            for (int i = 0; i < o.n[3]; i++) to[i * sx[3]] = from[i * sv[3]];
+    }
+}
+
+void nd_put_number(nd x, double value) {
+    shape4 o = shape_of(x);
+    int sx[ND_RANK];
+    strides_over(x, &o, sx);
+    ND_LOOP3(o) {
+        double *to = ND_ROW(x, sx);
+        for (int i = 0; i < o.n[3]; i++) to[i * sx[3]] = value;
+    }
+}
+
+static int index_of(nd indices, int i) { return (int)nd_at(indices, i); }
+
+static nd_ix all_of(void) { return (nd_ix){ND_RANGE, 0, ND_END}; }
+
+static nd slot(nd x, int axis, int i) {
+    nd_ix at[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
+    at[axis] = (nd_ix){ND_AT, i, 0};
+    return nd_get(x, axis + 1, at);
+}
+
+nd nd_take(nd_arena *a, nd x, nd indices, int axis) {
+    nd r = x;
+    r.n[axis] = nd_len(indices);
+    r = nd_new(a, x.rank, r.n);
+    for (int i = 0; i < nd_len(indices); i++) nd_put(slot(r, axis, i), slot(x, axis, index_of(indices, i)));
+    return r;
+}
+
+nd nd_take2(nd_arena *a, nd x, nd rows, nd columns) {
+    nd r = nd_new(a, 2, (int[]){nd_len(rows), nd_len(columns)});
+    for (int i = 0; i < r.n[0]; i++)
+        for (int j = 0; j < r.n[1]; j++) r.p[i * r.n[1] + j] = nd_at2(x, index_of(rows, i), index_of(columns, j));
+    return r;
+}
+
+void nd_put2(nd x, nd rows, nd columns, nd value) {
+    for (int i = 0; i < nd_len(rows); i++)
+        for (int j = 0; j < nd_len(columns); j++)
+            x.p[index_of(rows, i) * x.s[0] + index_of(columns, j) * x.s[1]] = nd_at2(value, i, j);
+}
+
+void nd_put_rows(nd x, nd rows, nd value) {
+    for (int i = 0; i < nd_len(rows); i++) nd_put(nd_row(x, index_of(rows, i)), value.rank < x.rank ? value : nd_row(value, i));
+}
+
+nd nd_indices(nd_arena *a, nd mask) {
+    nd x = nd_copy(a, mask), r = nd_new(a, 1, (int[]){nd_size(mask)});
+    int count = 0;
+    for (int i = 0, size = nd_size(x); i < size; i++)
+        if (x.p[i] != 0.0) r.p[count++] = i;
+    r.n[0] = count;
+    return r;
+}
+
+nd nd_argwhere(nd_arena *a, nd mask) {
+    nd found = nd_indices(a, mask), r = nd_new(a, 2, (int[]){nd_len(found), mask.rank});
+    for (int k = 0; k < nd_len(found); k++)
+        for (int axis = mask.rank - 1, left = index_of(found, k); axis >= 0; left /= mask.n[axis], axis--)
+            r.p[k * mask.rank + axis] = left % mask.n[axis];
+    return r;
+}
+
+/* A copy of the items of a list with room for one more. */
+void *nd_room(nd_arena *a, const void *items, int count, size_t bytes) {
+    void *more = nd_take_bytes(a, bytes * (size_t)(count + 1));
+    if (count) memcpy(more, items, bytes * (size_t)count);
+    return more;
+}
+
+void nd_append(nd_arena *a, nd *x, double value) {
+    x->p = nd_room(a, x->p, x->n[0], sizeof(double));
+    x->p[x->n[0]++] = value;
+}
+
+/* -- forms */
+
+nd nd_transposed(nd x) {
+    nd r = x;
+    for (int i = 0; i < x.rank; i++) r.n[i] = x.n[x.rank - 1 - i], r.s[i] = x.s[x.rank - 1 - i];
+    return r;
+}
+
+nd nd_permuted(nd x, const int *axes) {
+    nd r = x;
+    for (int i = 0; i < x.rank; i++) r.n[i] = x.n[axes[i]], r.s[i] = x.s[axes[i]];
+    return r;
+}
+
+nd nd_reshape(nd_arena *a, nd x, int rank, const int *n) {
+    int known = 1, size = nd_size(x);
+    nd r = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
+    for (int i = 0; i < rank; i++) known *= n[i] < 0 ? 1 : n[i];
+    for (int i = rank - 1, s = 1; i >= 0; i--) {
+        r.n[i] = n[i] < 0 ? (known ? size / known : 0) : n[i];
+        r.s[i] = s;
+        s *= r.n[i];
+    }
+    r.p = (is_compact(x) ? x : nd_copy(a, x)).p;
+    return r;
+}
+
+nd nd_concatenate(nd_arena *a, int axis, int count, const nd *x) {
+    nd r = x[0];
+    int at = 0;
+    r.n[axis] = 0;
+    for (int i = 0; i < count; i++) r.n[axis] += x[i].n[axis];
+    r = nd_new(a, r.rank, r.n);
+    for (int i = 0; i < count; at += x[i].n[axis], i++) {
+        nd_ix where[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
+        where[axis] = (nd_ix){ND_RANGE, at, at + x[i].n[axis]};
+        nd_put(nd_get(r, axis + 1, where), x[i]);
+    }
+    return r;
+}
+
+nd nd_hstack(nd_arena *a, int count, const nd *x) { return nd_concatenate(a, x[0].rank == 1 ? 0 : 1, count, x); }
+
+static nd as_row(nd x) { return x.rank == 1 ? nd_get(x, 2, (nd_ix[]){{ND_NEW, 0, 0}, all_of()}) : x; }
+
+static nd as_column(nd x) { return x.rank == 1 ? nd_get(x, 2, (nd_ix[]){all_of(), {ND_NEW, 0, 0}}) : x; }
+
+static nd stacked(nd_arena *a, int axis, int count, const nd *x, nd (*form)(nd)) {
+    nd *forms = nd_take_bytes(a, sizeof(nd) * (size_t)count);
+    for (int i = 0; i < count; i++) forms[i] = form(x[i]);
+    return nd_concatenate(a, axis, count, forms);
+}
+
+nd nd_vstack(nd_arena *a, int count, const nd *x) { return stacked(a, 0, count, x, as_row); }
+
+nd nd_column_stack(nd_arena *a, int count, const nd *x) { return stacked(a, 1, count, x, as_column); }
+
+nd nd_stack(nd_arena *a, int count, const nd *x) {
+    nd r = {NULL, 1, {count, 1, 1, 1}, {1, 1, 1, 1}};
+    if (count) {
+        r.rank = x[0].rank + 1;
+        for (int i = 0; i < x[0].rank; i++) r.n[i + 1] = x[0].n[i];
+    }
+    r = nd_new(a, r.rank, r.n);
+    for (int i = 0; i < count; i++) nd_put(nd_row(r, i), x[i]);
+    return r;
+}
+
+nd nd_block2(nd_arena *a, nd x, nd y, nd z, nd w) {
+    nd rows[2];
+    rows[0] = nd_hstack(a, 2, (nd[]){x, y});
+    rows[1] = nd_hstack(a, 2, (nd[]){z, w});
+    return nd_concatenate(a, 0, 2, rows);
+}
+
+nd nd_tile(nd_arena *a, nd x, int times) {
+    nd r = x;
+    r.n[0] = x.n[0] * times;
+    r = nd_new(a, x.rank, r.n);
+    for (int i = 0; i < times; i++) nd_put(nd_get(r, 1, (nd_ix[]){{ND_RANGE, i * x.n[0], (i + 1) * x.n[0]}}), x);
+    return r;
+}
+
+nd nd_delete(nd_arena *a, nd x, int i) {
+    nd parts[2];
+    parts[0] = nd_get(x, 1, (nd_ix[]){{ND_RANGE, 0, i}});
+    parts[1] = nd_get(x, 1, (nd_ix[]){{ND_RANGE, i + 1, ND_END}});
+    return nd_concatenate(a, 0, 2, parts);
+}
+
+nd nd_diag(nd_arena *a, nd x) {
+    nd r;
+    if (x.rank == 2) return (nd){x.p, 1, {nd_imin2(x.n[0], x.n[1]), 1, 1, 1}, {x.s[0] + x.s[1], 1, 1, 1}};
+    r = nd_full(a, 2, (int[]){x.n[0], x.n[0]}, 0.0);
+    nd_fill_diagonal(r, x);
+    return r;
+}
+
+void nd_fill_diagonal(nd x, nd values) {
+    for (int i = 0; i < nd_imin2(x.n[0], x.n[1]); i++) x.p[i * (x.s[0] + x.s[1])] = nd_at(values, i);
+}
+
+/* -- entry by entry */
+
+static double power(double x, double y) { return y == 2.0 ? x * x : y == 0.5 ? sqrt(x) : pow(x, y); }
+
+#define ND_EACH(op, value)                    \
+    case op:                                  \
+        for (int i = 0; i < n; i++) {         \
+            double u = x[i * sx], v = y[i * sy]; \
+            r[i] = (value);                   \
+        }                                     \
+        break;
+
+static void binary_row(int op, int n, double *r, const double *x, int sx, const double *y, int sy) {
+    switch (op) {
+        ND_EACH(ND_ADD, u + v)
+        ND_EACH(ND_SUB, u - v)
+        ND_EACH(ND_MUL, u *v)
+        ND_EACH(ND_DIV, u / v)
+        ND_EACH(ND_POW, power(u, v))
+        ND_EACH(ND_MAX, u >= v || is_nan(u) ? u : v)
+        ND_EACH(ND_MIN, u <= v || is_nan(u) ? u : v)
+        ND_EACH(ND_HYPOT, hypot(u, v))
+        ND_EACH(ND_COPYSIGN, copysign(u, v))
+        ND_EACH(ND_LT, u < v ? 1.0 : 0.0)
+        ND_EACH(ND_LE, u <= v ? 1.0 : 0.0)
+        ND_EACH(ND_GT, u > v ? 1.0 : 0.0)
+        ND_EACH(ND_GE, u >= v ? 1.0 : 0.0)
+        ND_EACH(ND_EQ, u == v ? 1.0 : 0.0)
+        ND_EACH(ND_NE, u != v ? 1.0 : 0.0)
+        ND_EACH(ND_AND, u != 0.0 && v != 0.0 ? 1.0 : 0.0)
+        ND_EACH(ND_OR, u != 0.0 || v != 0.0 ? 1.0 : 0.0)
+    default: break;
+    }
+}
+
+nd nd_binary(nd_arena *a, int op, nd x, nd y) {
+    nd r = x.rank >= y.rank ? x : y;
+    shape4 sx4 = shape_of(x), sy4 = shape_of(y), o;
+    int sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
+    for (int i = 0; i < ND_RANK; i++) o.n[i] = sx4.n[i] == 1 ? sy4.n[i] : sx4.n[i];
+    for (int i = 0; i < r.rank; i++) r.n[i] = o.n[i + ND_RANK - r.rank];
+    r = nd_new(a, r.rank, r.n);
+    strides_over(r, &o, sr);
+    strides_over(x, &o, sx);
+    strides_over(y, &o, sy);
+    ND_LOOP3(o) binary_row(op, o.n[3], ND_ROW(r, sr), ND_ROW(x, sx), sx[3], ND_ROW(y, sy), sy[3]);
+    return r;
+}
+
+nd nd_binary_xn(nd_arena *a, int op, nd x, double y) {
+    return nd_binary(a, op, x, (nd){&y, 0, {1, 1, 1, 1}, {1, 1, 1, 1}});
+}
+
+nd nd_binary_nx(nd_arena *a, int op, double x, nd y) {
+    return nd_binary(a, op, (nd){&x, 0, {1, 1, 1, 1}, {1, 1, 1, 1}}, y);
+}
+
+nd nd_map(nd_arena *a, double (*f)(double), nd x) {
+    nd r = nd_copy(a, x);
+    for (int i = 0, size = nd_size(r); i < size; i++) r.p[i] = f(r.p[i]);
+    return r;
+}
+
+nd nd_where(nd_arena *a, nd mask, nd x, nd y) {
+    /* The sum of all has the shape of the result. */
+    nd r = nd_binary(a, ND_ADD, nd_binary(a, ND_ADD, mask, x), y);
+    shape4 o = shape_of(r);
+    int sm[ND_RANK], sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
+    strides_over(mask, &o, sm);
+    strides_over(x, &o, sx);
+    strides_over(y, &o, sy);
+    strides_over(r, &o, sr);
+    ND_LOOP3(o) {
+        double *to = ND_ROW(r, sr);
+        const double *m = ND_ROW(mask, sm), *u = ND_ROW(x, sx), *v = ND_ROW(y, sy);
+        for (int i = 0; i < o.n[3]; i++) to[i] = m[i * sm[3]] != 0.0 ? u[i * sx[3]] : v[i * sy[3]];
+    }
+    return r;
+}
+
+double nd_isfinite(double x) { return fabs(x) <= DBL_MAX ? 1.0 : 0.0; }
+double nd_isnan(double x) { return x != x ? 1.0 : 0.0; }
+double nd_isinf(double x) { return fabs(x) > DBL_MAX ? 1.0 : 0.0; }
+double nd_not(double x) { return x != 0.0 ? 0.0 : 1.0; }
+double nd_negative(double x) { return -x; }
+double nd_square(double x) { return x * x; }
+double nd_round(double x) { return nearbyint(x); }
+double nd_log2(double x) { return log2(x); }
+
+/* -- along axes */
+
+static double start_of(int op) {
+    return op == ND_ALL_TRUE ? 1.0 : op == ND_LARGEST ? -INFINITY : op == ND_SMALLEST ? INFINITY : 0.0;
+}
+
+static double more_of(int op, double so_far, double x) {
+    switch (op) {
+    case ND_SUM: return so_far + x;
+    case ND_ANY: return x != 0.0 ? 1.0 : so_far;
+    case ND_ALL_TRUE: return x != 0.0 ? so_far : 0.0;
+    case ND_NORM: return so_far + x * x;
+    case ND_LARGEST: return x > so_far || is_nan(x) ? x : so_far;
+    default: return x < so_far || is_nan(x) ? x : so_far;
+    }
+}
+
+double nd_reduced(int op, nd x) {
+    shape4 o = shape_of(x);
+    int s[ND_RANK];
+    double r = start_of(op);
+    strides_over(x, &o, s);
+    ND_LOOP3(o) {
+        const double *row = ND_ROW(x, s);
+        for (int i = 0; i < o.n[3]; i++) r = more_of(op, r, row[i * s[3]]);
+    }
+    return op == ND_NORM ? sqrt(r) : r;
+}
+
+nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
+    nd r = x, last, rest;
+    int sr[ND_RANK], sl[ND_RANK], steps;
+    shape4 o;
+    if (axis < 0) axis += x.rank;
+    for (int i = axis; i + 1 < x.rank; i++) r.n[i] = x.n[i + 1];
+    r = nd_full(a, x.rank - 1, r.n, start_of(op));
+    rest = r;
+    o = shape_of(r);
+    steps = x.n[axis];
+    for (int k = 0; k < steps; k++) {
+        last = slot(x, axis, k);
+        strides_over(rest, &o, sr);
+        strides_over(last, &o, sl);
+        ND_LOOP3(o) {
+            double *to = ND_ROW(r, sr);
+            const double *from = ND_ROW(last, sl);
+            for (int i = 0; i < o.n[3]; i++) to[i] = more_of(op, to[i], from[i * sl[3]]);
+        }
+    }
+    if (op == ND_NORM)
+        for (int i = 0, size = nd_size(r); i < size; i++) r.p[i] = sqrt(r.p[i]);
+    return r;
+}
+
+double nd_mean(nd x) { return nd_reduced(ND_SUM, x) / nd_size(x); }
+
+int nd_argmin(nd x) {
+    int best = 0;
+    for (int i = 1; i < nd_len(x); i++)
+        if (!is_nan(nd_at(x, best)) && (nd_at(x, i) < nd_at(x, best) || is_nan(nd_at(x, i)))) best = i;
+    return best;
+}
+
+int nd_argmax(nd x) {
+    int best = 0;
+    for (int i = 1; i < nd_len(x); i++)
+        if (!is_nan(nd_at(x, best)) && (nd_at(x, i) > nd_at(x, best) || is_nan(nd_at(x, i)))) best = i;
+    return best;
+}
+
+nd nd_cumsum(nd_arena *a, nd x) {
+    nd r = nd_copy(a, x);
+    for (int i = 1; i < nd_len(r); i++) r.p[i] += r.p[i - 1];
+    return r;
+}
+
+nd nd_diff(nd_arena *a, nd x) {
+    return nd_binary(a, ND_SUB, nd_get(x, 1, (nd_ix[]){{ND_RANGE, 1, ND_END}}), nd_get(x, 1, (nd_ix[]){{ND_RANGE, 0, x.n[0] ? -1 : 0}}));
+}
+
+int nd_searchsorted_right(nd x, double value) {
+    int i = 0;
+    while (i < nd_len(x) && nd_at(x, i) <= value) i++;
+    return i;
+}
+
+bool nd_equal(nd x, nd y) {
+    if (nd_len(x) != nd_len(y)) return false;
+    for (int i = 0; i < nd_len(x); i++)
+        if (nd_at(x, i) != nd_at(y, i)) return false;
+    return true;
+}
+
+/* -- products */
+
+static void multiply(nd r, nd x, nd y) {
+    int inner = x.n[1];
+    for (int i = 0; i < r.n[0]; i++) {
+        double *to = r.p + i * r.s[0];
+        for (int j = 0; j < r.n[1]; j++) to[j * r.s[1]] = 0.0;
+        for (int k = 0; k < inner; k++) {
+            double u = x.p[i * x.s[0] + k * x.s[1]];
+            const double *from = y.p + k * y.s[0];
+            if (r.s[1] == 1 && y.s[1] == 1)
+                for (int j = 0; j < r.n[1]; j++) to[j] += u * from[j];
+            else
+                for (int j = 0; j < r.n[1]; j++) to[j * r.s[1]] += u * from[j * y.s[1]];
+        }
+    }
+}
+
+nd nd_matmul(nd_arena *a, nd x, nd y) {
+    nd left = as_row(x), right = as_column(y), r;
+    if (left.rank == 3 || right.rank == 3) {
+        int count = left.rank == 3 ? left.n[0] : right.n[0];
+        r = nd_new(a, 3, (int[]){count, left.n[left.rank - 2], right.n[right.rank - 1]});
+        for (int i = 0; i < count; i++)
+            multiply(nd_row(r, i), left.rank == 3 ? nd_row(left, i) : left, right.rank == 3 ? nd_row(right, i) : right);
+        return r;
+    }
+    r = nd_new(a, 2, (int[]){left.n[0], right.n[1]});
+    multiply(r, left, right);
+    if (y.rank == 1) r.rank--;
+    else if (x.rank == 1) r.rank--, r.n[0] = r.n[1], r.s[0] = 1;
+    if (x.rank == 1 && y.rank == 1) r.rank = 0;
+    return r;
+}
+
+nd nd_tensordot1(nd_arena *a, nd x, nd y) {
+    int inner = y.n[0], n[ND_RANK], rank = 0;
+    nd product = nd_matmul(a, nd_reshape(a, x, 2, (int[]){-1, inner}), nd_reshape(a, y, 2, (int[]){inner, -1}));
+    for (int i = 0; i < x.rank - 1; i++) n[rank++] = x.n[i];
+    for (int i = 1; i < y.rank; i++) n[rank++] = y.n[i];
+    return nd_reshape(a, product, rank, n);
+}
+
+nd nd_rhk_hkj(nd_arena *a, nd x, nd y) {
+    nd r = nd_new(a, 3, (int[]){x.n[0], x.n[1], y.n[2]});
+    for (int h = 0; h < x.n[1]; h++) multiply(slot(r, 1, h), slot(x, 1, h), nd_row(y, h));
+    return r;
+}
+
+/* -- numbers */
+
+/* The second one counts where it is larger, as in Python's max(x, y): so a NaN before stays, one behind does not. */
+double nd_max2(double x, double y) { return y > x ? y : x; }
+double nd_min2(double x, double y) { return y < x ? y : x; }
+int nd_imax2(int x, int y) { return y > x ? y : x; }
+int nd_imin2(int x, int y) { return y < x ? y : x; }
+
+int nd_mod(int x, int y) {
+    int r = x % y;
+    return r != 0 && (r < 0) != (y < 0) ? r + y : r;
+}
+
+int nd_floordiv(int x, int y) { return (x - nd_mod(x, y)) / y; }
+
+int nd_bits(int x) {
+    int count = 0;
+    for (unsigned left = (unsigned)x; left; left >>= 1) count += (int)(left & 1u);
+    return count;
+}
+
+int nd_bit_length(int x) {
+    int count = 0;
+    for (unsigned left = (unsigned)x; left; left >>= 1) count++;
+    return count;
+}
+
+int nd_exponent(double x) {
+    int exponent = 0;
+    (void)frexp(x, &exponent);
+    return exponent;
+}
+
+double nd_power_of_two(int k) { return ldexp(1.0, k); }
+
+double nd_integer_power(int base, int exponent) { return pow(base, exponent); }
+
+double nd_factorial(int n) {
+    double r = 1.0;
+    for (int i = 2; i <= n; i++) r *= i;
+    return r;
+}
+
+double nd_rounded(double x, int digits) {
+    double scale = pow(10.0, digits);
+    return nearbyint(x * scale) / scale;
+}

@@ -1,0 +1,288 @@
+"""All functions of some modules, and the types they need, as a header and a source of C99."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ndob_fmu.native.translate.expressions import c_name
+from ndob_fmu.native.translate.kinds import (
+    NOTHING,
+    TEXT,
+    Array,
+    Function,
+    Kind,
+    Listing,
+    Maybe,
+    Pack,
+    Simple,
+    Structure,
+    Unknown,
+    by_pointer,
+    c_type,
+    is_nd,
+    is_number,
+    parts,
+    word,
+)
+from ndob_fmu.native.translate.program import Definition, Program
+from ndob_fmu.native.translate.refusal import RefusedError
+from ndob_fmu.native.translate.statements import World, Writer, holds_memory, keeper
+
+_PREDEFINED = ("nd", "nd_two", "nd_three", "nd_list", "nd_names", "nd_slice")
+
+
+@dataclass(frozen=True)
+class Translation:
+    """What a program became.
+
+    header, source: in C; the source includes the header by the name that `translate` was told
+    definitions: the functions that were translated
+    refused: for each function that was not, by module and name, why
+    program: the modules
+    """
+
+    header: str
+    source: str
+    definitions: tuple[Definition, ...]
+    refused: Mapping[str, str]
+    program: Program
+
+
+def translate(modules: Sequence[str], name: str, *, leave_out: Collection[str] = ()) -> Translation:
+    """Return the functions and methods of modules, and all that these use, in C.
+
+    leave_out: functions, by module and name, that are not tried unless others use them
+    """
+    program = Program()
+    world = World(program)
+    for one in modules:
+        module = program.module(one)
+        for own in module.own:
+            definition = program.definition(module, own)
+            if definition is not None:
+                world.need(definition)
+            known = program.class_of(module, own)
+            if known is not None and known.module is module:
+                for method in known.methods.values():
+                    world.need(method)
+    world.wanted = [one for one in world.wanted if one.where not in leave_out]
+    texts, uses, refused = _texts(world)
+    _without_dependents(texts, uses, refused)
+    kinds = [kind for one in texts.values() for kind in one[1]]
+    definitions = tuple(one for one in world.wanted if one.where in texts)
+    header, source = _files(world, kinds, definitions, {key: text for key, (text, _) in texts.items()}, name)
+    return Translation(header, source, definitions, refused, program)
+
+
+Texts = dict[str, tuple[str, list[Kind]]]
+
+
+def _texts(world: World) -> tuple[Texts, dict[str, set[str]], dict[str, str]]:
+    """Return the text and the kinds of each function, whom it uses, and which were refused."""
+    texts: Texts = {}
+    uses: dict[str, set[str]] = {}
+    refused: dict[str, str] = {}
+    place = 0
+    while place < len(world.wanted):
+        definition = world.wanted[place]
+        place += 1
+        world.kinds, world.used = [], set()
+        writer = Writer(world, definition)
+        try:
+            text = writer.function()
+        except RefusedError as error:
+            refused[definition.where] = str(error)
+            continue
+        texts[definition.where] = text, world.kinds
+        uses[definition.where] = world.used
+    return texts, uses, refused
+
+
+def _without_dependents(texts: Texts, uses: Mapping[str, set[str]], refused: dict[str, str]) -> None:
+    """Take out the functions that use one that was refused."""
+    while True:
+        found = {one: missing for one in texts if (missing := sorted(uses[one] & refused.keys()))}
+        if not found:
+            return
+        for one, missing in found.items():
+            del texts[one]
+            refused[one] = f"{one} uses {missing[0]}"
+
+
+def _files(
+    world: World, kinds: Iterable[Kind], definitions: Sequence[Definition], texts: Mapping[str, str], name: str
+) -> tuple[str, str]:
+    declared = _ordered(world.program, kinds)
+    heads = [Writer(world, one).head() + ";" for one in definitions]
+    thunks = [_thunk(one) for one in world.values.values() if one.where in texts]
+    body = "\n".join([*thunks, *(_indented(text) for text in texts.values())])
+    guard = f"NDOB_{name.upper()}_H"
+    header = [
+        f"/* Translated from the runtime; do not edit. */\n#ifndef {guard}",
+        f"#define {guard}",
+        '#include "nd.h"',
+        "",
+    ]
+    header += [f"typedef struct {c_type(kind)} {c_type(kind)};" for kind in declared if _is_struct(kind)]
+    header += [text for kind in declared if (text := _declaration(world.program, kind))]
+    header += ["", *heads, "", "#endif", ""]
+    source = [f'/* Translated from the runtime; do not edit. */\n#include "{name}.h"', ""]
+    source += ["#if !defined __GNUC__ || defined __clang__", "#pragma STDC FP_CONTRACT OFF", "#endif", ""]
+    source += _keepers(world.program, declared, body)
+    return "\n".join(header), "\n".join([*source, body])
+
+
+def _is_struct(kind: Kind) -> bool:
+    return not isinstance(kind, Simple) and c_type(kind) not in _PREDEFINED
+
+
+def _ordered(program: Program, kinds: Iterable[Kind]) -> list[Kind]:
+    """Return all types, each one behind those that it contains."""
+    found: list[Kind] = []
+    open_: set[str] = set()
+
+    def visit(kind: Kind) -> None:
+        if isinstance(kind, Unknown) or is_nd(kind) or kind in found:
+            return
+        own = c_type(kind)
+        if own in open_:
+            return
+        open_.add(own)
+        inner = (
+            [one.kind for one in program.structure(kind.name).fields.values()]
+            if isinstance(kind, Structure)
+            else parts(kind)
+        )
+        pointed = isinstance(kind, (Listing, Function))
+        if not pointed:
+            for one in inner:
+                visit(one)
+        found.append(kind)
+        if pointed:
+            for one in inner:
+                visit(one)
+
+    for kind in kinds:
+        visit(kind)
+    unique: dict[str, Kind] = {}
+    for kind in found:
+        unique.setdefault(c_type(kind), kind)
+    return list(unique.values())
+
+
+def _declaration(program: Program, kind: Kind) -> str:
+    if not _is_struct(kind):
+        return ""
+    own = c_type(kind)
+    match kind:
+        case Structure(name):
+            fields = [one for one in program.structure(name).fields.values() if not isinstance(one.kind, Unknown)]
+            inner = " ".join(f"{c_type(one.kind)} {c_name(one.name)};" for one in fields) or "int nothing;"
+        case Pack(elements):
+            inner = " ".join(f"{c_type(one)} v{i};" for i, one in enumerate(elements))
+        case Listing(element):
+            inner = f"int n; {c_type(element)} *p;"
+        case Maybe(value):
+            inner = f"bool some; {c_type(value)} value;"
+        case Function(arguments, result):
+            given = ["nd_arena *", "const void *"]
+            given += [f"const {c_type(one)} *" if by_pointer(one) else c_type(one) for one in arguments]
+            inner = f"{c_type(result)} (*call)({', '.join(given)}); const void *env;"
+        case _:
+            raise AssertionError(kind)
+    return f"struct {own} {{ {inner} }};"
+
+
+def _keepers(program: Program, kinds: Sequence[Kind], body: str) -> list[str]:
+    """Return the functions that keep values of the types, as far as the functions call them."""
+    by_word = {word(kind): kind for kind in kinds if holds_memory(program, kind)}
+    wanted = re.findall(r"\bkept_(\w+)\(", body)
+    needed: list[str] = []
+
+    def visit(kind: Kind) -> None:
+        if is_nd(kind) or not holds_memory(program, kind) or word(kind) in needed:
+            return
+        inner = (
+            [one.kind for one in program.structure(kind.name).fields.values()]
+            if isinstance(kind, Structure)
+            else parts(kind)
+        )
+        for one in inner:
+            visit(one)
+        needed.append(word(kind))
+
+    for one in [*wanted, *(found for found in re.findall(r"\bkeep_(\w+)\(", body))]:
+        if one in by_word:
+            visit(by_word[one])
+    texts = [_keep(program, by_word[one]) for one in needed]
+    texts += [_kept(by_word[one]) for one in dict.fromkeys(wanted) if one in by_word]
+    return texts
+
+
+def _keep(program: Program, kind: Kind) -> str:
+    head = f"static void keep_{word(kind)}(nd_keeping *k, {c_type(kind)} *x) {{"
+    if isinstance(kind, Listing):
+        own = c_type(kind.element)
+        each = ""
+        if holds_memory(program, kind.element):
+            each = f"    for (int i = 0; i < x->n; i++) {keeper(kind.element)}(k, &x->p[i]);\n"
+        return (
+            f"{head}\n    void *p = x->p;\n"
+            f"    (void)nd_keep_block(k, &p, sizeof({own}) * (size_t)x->n);\n    x->p = p;\n"
+            f"{each}    nd_keep_shift(k, &p);\n    x->p = p;\n}}\n"
+        )
+    match kind:
+        case Structure(name):
+            fields = [(c_name(one.name), one.kind) for one in program.structure(name).fields.values()]
+        case Pack(elements):
+            fields = [(f"v{i}", one) for i, one in enumerate(elements)]
+        case Maybe(value):
+            fields = [("value", value)]
+        case _:
+            raise AssertionError(kind)
+    lines = [f"    {keeper(own)}(k, &x->{one});" for one, own in fields if holds_memory(program, own)]
+    if isinstance(kind, Maybe):
+        lines.insert(0, "    if (!x->some) return;")
+    return "\n".join([head, *lines, "}", ""])
+
+
+def _kept(kind: Kind) -> str:
+    own = c_type(kind)
+    return (
+        f"static {own} kept_{word(kind)}(nd_arena *arena, size_t mark, {own} x) {{\n"
+        "    nd_keeping k = nd_keep_begin(arena, mark);\n"
+        f"    for (; k.pass <= 2; k.pass++) keep_{word(kind)}(&k, &x);\n"
+        "    nd_keep_end(&k);\n    return x;\n}\n"
+    )
+
+
+def _thunk(definition: Definition) -> str:
+    """Return a function of a module in the form of a function that is a value."""
+    given = [
+        f"const {c_type(one.kind)} *a{i}" if by_pointer(one.kind) else f"{c_type(one.kind)} a{i}"
+        for i, one in enumerate(definition.parameters)
+    ]
+    names = ", ".join(["arena", *(f"a{i}" for i in range(len(given)))])
+    result = "" if definition.result == NOTHING else "return "
+    return (
+        f"static {c_type(definition.result)} {definition.name}_value"
+        f"({', '.join(['nd_arena *arena, const void *env', *given])}) {{\n"
+        f"    (void)env;\n    {result}{definition.name}({names});\n}}\n"
+    )
+
+
+def _indented(text: str) -> str:
+    """Return the text with its lines indented by their braces."""
+    depth, lines = 0, []
+    for line in text.splitlines():
+        if not line:
+            continue
+        depth -= line.startswith("}")
+        lines.append("    " * depth + line)
+        depth += line.count("{") - line.count("}") + line.startswith("}")
+    return "\n".join(lines) + "\n"
+
+
+__all__ = ["TEXT", "Array", "Translation", "is_number", "translate"]

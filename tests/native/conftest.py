@@ -1,0 +1,28 @@
+"""What all tests of translated code share: the translation, its library, and calls of the twins in Python."""
+
+from __future__ import annotations
+
+import pytest
+
+from ndob_fmu.native.translate.print_c import translate
+from tests.helpers.translated import Library, Recorder
+from tests.native.runs import run_all
+from tests.native.scope import MODULES
+
+
+@pytest.fixture(scope="session")
+def translation():
+    return translate(MODULES, "translated")
+
+
+@pytest.fixture(scope="session")
+def library(translation, tmp_path_factory):
+    return Library(translation, tmp_path_factory.mktemp("translated"))
+
+
+@pytest.fixture(scope="session")
+def recorded(translation):
+    recorder = Recorder(translation.definitions)
+    with recorder.running():
+        run_all()
+    return recorder.calls

@@ -1,0 +1,97 @@
+"""Runs of the runtime in Python whose calls are repeated in C: observers of both methods, and numerics alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.runtime.design.schedule import PiSchedule
+from ndob_fmu.runtime.numerics.integrate import integrate
+from ndob_fmu.runtime.numerics.riccati import solve_riccati
+from ndob_fmu.runtime.numerics.stiff import integrate_any
+from ndob_fmu.runtime.numerics.zeros import balance, pencil_zeros
+from ndob_fmu.runtime.step.paper_observer import paper_observer
+from tests.helpers.general_plants import CART
+from tests.helpers.observers import sampled_observer
+from tests.helpers.problems import MODELS
+
+JOINT = MODELS["flexible_joint"]
+_H = 1e-3
+
+
+def run_all() -> None:
+    """Run all of them once."""
+    for order in (0, 1, 2, 3):
+        _sampled(JOINT, order=order, noise_std=[1e-5, 2e-5])
+    _sampled(JOINT, order=2, noise_std=[1e-5, 2e-5], lag=0.02, delay=[0.0, 3e-3], bias_std=[1e-3, 0.0])
+    _sampled(JOINT, order=1, noise_std=[1e-5, 2e-5], parameter_std=[0.1] * len(JOINT.parameters))
+    _sampled(CART, order=1)
+    _paper()
+    _numerics()
+
+
+def _sampled(model, **settings) -> None:
+    """Step an observer over samples of a plant at a constant state, with a jump, an outlier and gaps."""
+    random = np.random.default_rng(1)
+    eq, p = compile_model(model), model.parameter_values()
+    observer = sampled_observer(eq, p, x_hat=eq.xhat0, **settings)
+    x, u = list(eq.x0), [0.1] * len(eq.inputs)
+    state = observer.init(eq.xhat0)
+    d = 0.3 * np.array(eq.disturbance_bound)
+    h = _H
+    for k in range(80):
+        if k == 50:
+            d = -d
+        y = np.array(eq.output(x, u, p)) + 1e-5 * random.standard_normal(len(eq.outputs))
+        if k in (30, 70):
+            y[0] += 1.0
+        if k == 40:
+            y[0] = np.nan
+        observer.estimate(state, tuple(y))
+        state, _ = observer.step(state, u, y.tolist(), h)
+        observer.possible(state, (k + 1) * h)
+        x = (np.array(x) + h * np.array(eq.derivatives(x, u, d.tolist(), p))).tolist()
+
+
+def _paper() -> None:
+    eq, p = compile_model(JOINT), JOINT.parameter_values()
+    observer = paper_observer(
+        eq,
+        p,
+        PiSchedule(1.0, 1e8, 0.05),
+        alpha=1.0,
+        noise_std=(1e-5, 1e-5),
+        disturbance_bound=(2.0,),
+        disturbance_nominal=(0.5,),
+    )
+    state = observer.init(eq.xhat0)
+    for k in range(60):
+        y = [1.0 + 0.1 * np.sin(k * _H), np.nan if k == 20 else 1.0]
+        state, _ = observer.step(state, (0.1,), y, _H * (1.0 + 0.3 * (k % 3)))
+        observer.possible(state, state.elapsed)
+
+
+def _numerics() -> None:
+    """Solve what the observers above do not: stiff plants, zeros of tall systems, large π."""
+    random = np.random.default_rng(2)
+    A = scipy.linalg.block_diag([[-1e5]], [[0.0, 1.0], [-4.0, -0.1]])
+
+    def rate(t, x):
+        return A @ x + np.array([1e5 * np.sin(t), 0.0, np.cos(t) - x[1] ** 3])
+
+    def slopes(t, x):
+        J = A.copy()
+        J[2, 1] -= 3.0 * x[1] ** 2
+        return J, np.array([1e5 * np.cos(t), 0.0, -np.sin(t)])
+
+    integrate_any(rate, slopes, np.array([1.0, 0.5, 0.0]), 0.5, 0.5)
+    integrate_any(lambda t, x: rate(t, x) * [0.0, 1.0, 1.0], slopes, np.array([1.0, 0.5, 0.0]), 0.5, 0.1)
+    integrate(lambda t, x: np.array([x[1], -x[0]]), np.array([1.0, 0.0]), 0.0, 3.0, 0.1)
+    for n, q, p in ((4, 1, 2), (5, 2, 2), (6, 2, 3)):
+        full = random.standard_normal((n, n))
+        G, C = random.standard_normal((n, q)), random.standard_normal((p, n))
+        for pi in (1.0, 1e6, 1e12):
+            solve_riccati(full - 3.0 * np.eye(n), C, G, pi=pi, alpha=0.5)
+        plant = balance(1e3 * full, 1e-3 * G, C)
+        pencil_zeros(plant.A, plant.G, plant.C)
