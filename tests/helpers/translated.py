@@ -143,6 +143,8 @@ class Library:
                 return [(one.name, one.kind) for one in fields if not isinstance(one.kind, kinds.Unknown)]
             case kinds.Pack(elements):
                 return [(f"v{i}", one) for i, one in enumerate(elements)]
+            case kinds.ComplexArray():
+                return [("v0", kinds.ARRAY), ("v1", kinds.ARRAY)]
             case kinds.Maybe(value):
                 return [("some", kinds.BOOL), ("value", value)]
             case kinds.Function():
@@ -170,8 +172,10 @@ class Library:
         if isinstance(kind, kinds.Function):
             return self._function(value, kind)
         made = self.type_of(kind)()
+        if isinstance(kind, kinds.ComplexArray):
+            value = (np.real(value), np.imag(value))
         for i, (name, own) in enumerate(self._fields(kind)):
-            item = value[i] if isinstance(kind, kinds.Pack) else getattr(value, name)
+            item = value[i] if isinstance(kind, (kinds.Pack, kinds.ComplexArray)) else getattr(value, name)
             setattr(made, c_name(name) if isinstance(kind, kinds.Structure) else name, self.to_c(item, own))
         return made
 
@@ -236,6 +240,8 @@ class Library:
             return [self.from_c(value.p[i], kind.element) for i in range(value.n)]
         if isinstance(kind, kinds.Function):
             return None
+        if isinstance(kind, kinds.ComplexArray):
+            return self.from_c(value.v0, kinds.ARRAY) + 1j * self.from_c(value.v1, kinds.ARRAY)
         named = {
             name: self.from_c(getattr(value, c_name(name) if isinstance(kind, kinds.Structure) else name), own)
             for name, own in self._fields(kind)
@@ -402,6 +408,8 @@ def difference(twin: Any, own: Any) -> float:
         return max((difference(one, other) for one, other in zip(twin, own, strict=True)), default=0.0)
     if isinstance(twin, (str, bytes)):
         return 0.0
+    if isinstance(own, np.ndarray) and own.dtype.kind == "c":
+        return difference([twin.real, twin.imag], [own.real, own.imag])
     one, other = np.asarray(twin, dtype=float), np.asarray(own, dtype=float)
     if one.shape != other.shape:
         return np.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -208,7 +209,7 @@ def test_few_explicit_substeps_are_taken_as_they_always_were():
 def test_many_explicit_substeps_are_given_up_early(rate):
     problem = lag(rate)
     problem.evaluations = 0
-    assert adapt_in_few(cash_karp(problem.derivatives, 0.0, H), np.array([1.0, 0.0, 0.0]), H, H) is None
+    assert adapt_in_few(partial(cash_karp, problem.derivatives, H), np.array([1.0, 0.0, 0.0]), H, H) is None
     assert problem.evaluations <= 6 * 31
     found, substep = integrate_any(problem.derivatives, problem.slopes, np.array([1.0, 0.0, 0.0]), H, H)
     np.testing.assert_allclose(found, problem.reference((1.0, 0.0, 0.0), H), rtol=WITHIN)

@@ -32,11 +32,13 @@ void *nd_take_bytes(nd_arena *a, size_t bytes) {
 }
 
 void nd_raise(nd_arena *a, int error, const char *format, ...) {
+    char text[ND_MESSAGE]; /* the message of the error before may be an argument */
     va_list arguments;
     a->error = error;
     va_start(arguments, format);
-    (void)vsnprintf(a->message, sizeof a->message, format, arguments);
+    (void)vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
+    memcpy(a->message, text, sizeof text);
 }
 
 static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) {
@@ -258,6 +260,13 @@ nd nd_get(nd x, int count, const nd_ix *at) {
         r.s[r.rank++] = x.s[axis++];
     }
     for (; axis < x.rank; axis++) r.n[r.rank] = x.n[axis], r.s[r.rank++] = x.s[axis];
+    return r;
+}
+
+nd nd_reversed(nd x) {
+    nd r = x;
+    if (x.n[0]) r.p += (x.n[0] - 1) * x.s[0];
+    r.s[0] = -x.s[0];
     return r;
 }
 
@@ -539,8 +548,12 @@ double nd_isinf(double x) { return fabs(x) > DBL_MAX ? 1.0 : 0.0; }
 double nd_not(double x) { return x != 0.0 ? 0.0 : 1.0; }
 double nd_negative(double x) { return -x; }
 double nd_square(double x) { return x * x; }
-double nd_round(double x) { return nearbyint(x); }
-double nd_log2(double x) { return log2(x); }
+
+double nd_exponent_of(double x) {
+    int exponent = 0;
+    (void)frexp(x, &exponent);
+    return exponent;
+}
 
 /* -- along axes */
 
@@ -610,6 +623,26 @@ int nd_argmax(nd x) {
     for (int i = 1; i < nd_len(x); i++)
         if (!is_nan(nd_at(x, best)) && (nd_at(x, i) > nd_at(x, best) || is_nan(nd_at(x, i)))) best = i;
     return best;
+}
+
+/* The order of entries by `first`, equal ones by `then`. */
+nd nd_lexsort(nd_arena *a, nd then, nd first) {
+    int n = nd_len(first);
+    nd order = nd_new(a, 1, &n);
+    for (int i = 0; i < n; i++) {
+        int place = 0;
+        for (int j = 0; j < n; j++) {
+            double u = nd_at(first, i), v = nd_at(first, j), s = nd_at(then, i), t = nd_at(then, j);
+            place += v < u || (v == u && (t < s || (t == s && j < i)));
+        }
+        order.p[place] = i;
+    }
+    return order;
+}
+
+nd nd_sorted(nd_arena *a, nd x) {
+    nd r = nd_take(a, x, nd_lexsort(a, x, x), 0);
+    return r;
 }
 
 nd nd_cumsum(nd_arena *a, nd x) {
@@ -710,16 +743,6 @@ int nd_bit_length(int x) {
     for (unsigned left = (unsigned)x; left; left >>= 1) count++;
     return count;
 }
-
-int nd_exponent(double x) {
-    int exponent = 0;
-    (void)frexp(x, &exponent);
-    return exponent;
-}
-
-double nd_power_of_two(int k) { return ldexp(1.0, k); }
-
-double nd_integer_power(int base, int exponent) { return pow(base, exponent); }
 
 double nd_factorial(int n) {
     double r = 1.0;

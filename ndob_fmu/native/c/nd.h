@@ -96,6 +96,7 @@ double nd_at(nd x, int i);
 double nd_at2(nd x, int i, int j);
 void nd_set(nd x, int i, double value);
 nd nd_get(nd x, int count, const nd_ix *at);
+nd nd_reversed(nd x); /* along the first axis */
 nd nd_row(nd x, int i);
 void nd_put(nd x, nd value);
 void nd_put_number(nd x, double value);
@@ -136,8 +137,7 @@ double nd_isinf(double x);
 double nd_not(double x);
 double nd_negative(double x);
 double nd_square(double x);
-double nd_round(double x);
-double nd_log2(double x);
+double nd_exponent_of(double x); /* frexp(x)[1] */
 
 /* -- along an axis, or over all entries (nd_reduced) */
 enum { ND_SUM, ND_ANY, ND_ALL_TRUE, ND_NORM, ND_LARGEST, ND_SMALLEST };
@@ -146,6 +146,8 @@ double nd_reduced(int op, nd x);
 double nd_mean(nd x);
 int nd_argmin(nd x);
 int nd_argmax(nd x);
+nd nd_lexsort(nd_arena *a, nd then, nd first);
+nd nd_sorted(nd_arena *a, nd x);
 nd nd_cumsum(nd_arena *a, nd x);
 nd nd_diff(nd_arena *a, nd x);
 int nd_searchsorted_right(nd x, double value);
@@ -186,9 +188,6 @@ int nd_mod(int x, int y);
 int nd_floordiv(int x, int y);
 int nd_bits(int x);
 int nd_bit_length(int x);
-int nd_exponent(double x);
-double nd_power_of_two(int k);
-double nd_integer_power(int base, int exponent);
 double nd_factorial(int n);
 double nd_rounded(double x, int digits);
 

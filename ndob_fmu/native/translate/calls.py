@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable
 
-from ndob_fmu.native.translate.expressions import Expressions, Value, c_name
+from ndob_fmu.native.translate.expressions import Expressions, Value, c_name, entry
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -16,9 +16,11 @@ from ndob_fmu.native.translate.kinds import (
     SLICE,
     TEXT,
     Array,
+    ComplexArray,
     Function,
     Kind,
     Listing,
+    Maybe,
     Pack,
     Simple,
     Structure,
@@ -32,7 +34,7 @@ from ndob_fmu.native.translate.kinds import (
     word,
 )
 from ndob_fmu.native.translate.library import BY_HAND, FUNCTIONS, OF_NUMBERS, OF_TWO, REDUCTIONS, STACKS, Known
-from ndob_fmu.native.translate.program import Class, Definition, Parameter
+from ndob_fmu.native.translate.program import Class, Definition, Module, Parameter
 
 Named = dict[str, ast.expr]
 _IDENTITY = ("numbers", "np.asarray", "np.ascontiguousarray")
@@ -51,6 +53,8 @@ class Calls(Expressions):
         """Write a call."""
         named = {keyword.arg or "**": keyword.value for keyword in node.keywords}
         name = self._full_name(node.func)
+        if len(node.args) == 2 and self._is_cache(node.func):
+            return self._computed(node.args[1])
         if isinstance(node.func, ast.Name):
             known = self.variables.get(node.func.id)
             if isinstance(known, Function):
@@ -101,28 +105,84 @@ class Calls(Expressions):
             return node.id
         return ast.unparse(node)
 
+    def _is_cache(self, node: ast.expr) -> bool:
+        """Return whether an expression is a cache of `runtime.memo`."""
+        if isinstance(node, ast.Attribute):
+            value = self.kind_if_known(node.value)
+            if isinstance(value, Structure):
+                field = self.program.structure(value.name).fields.get(node.attr)
+                return field is not None and isinstance(field.kind, Unknown) and "Result" in field.kind.text
+        if isinstance(node, ast.Name) and node.id not in self.variables:
+            found = self.program.resolve(self.module, node.id)
+            return found is not None and type(getattr(found[0].live, found[1], None)).__name__ == "SharedResults"
+        return False
+
+    def _computed(self, node: ast.expr) -> Value:
+        """Write what a cache would compute: a cache holds pure results, so that it changes nothing but the time."""
+        if isinstance(node, ast.Lambda):
+            return self.expression(node.body)
+        return self.call(ast.copy_location(ast.Call(node, [], []), node))
+
     # -- functions of the runtime
 
     def _matched(
-        self, node: ast.AST, name: str, parameters: tuple[Parameter, ...], given: list[ast.expr], named: Named
+        self,
+        node: ast.AST,
+        name: str,
+        parameters: tuple[Parameter, ...],
+        module: Module,
+        given: list[ast.expr],
+        named: Named,
     ) -> list[ast.expr]:
         """Return the arguments of a call in the order of the parameters, defaults included."""
-        if any(isinstance(one, ast.Starred) for one in given) or "**" in named:
-            raise self.no(node, "a call without * or **")
+        if "**" in named:
+            raise self.no(node, "a call without **")
+        given = self._without_stars(given, len(parameters) - len(named))
         values = dict(zip([one.name for one in parameters], given, strict=False)) | named
         found = []
         for one in parameters:
-            value = values.get(one.name, one.default)
-            if value is None:
+            if one.name in values:
+                found.append(values[one.name])
+            elif one.default is not None:
+                found.append(self._default(one.default, module))
+            else:
                 raise self.no(node, f"an argument {one.name} of {name}", "none")
-            found.append(value)
+        return found
+
+    def _default(self, default: ast.expr, module: Module) -> ast.expr:
+        """Return a default as a constant; it means what it means where the function or the class is."""
+        if isinstance(default, ast.Call):  # of a field that has no translation
+            return default
+        code = compile(ast.Expression(default), module.file, "eval")
+        return ast.copy_location(ast.Constant(eval(code, vars(module.live))), default)
+
+    def _without_stars(self, given: list[ast.expr], count: int) -> list[ast.expr]:
+        """Return arguments with a name in place of each item of `*value`, as many as the function takes."""
+        found: list[ast.expr] = []
+        for one in given:
+            if not isinstance(one, ast.Starred):
+                found.append(one)
+                continue
+            value = self.held(self.certain(self.expression(one.value)))
+            if isinstance(value.kind, Pack):
+                items = [Value(f"{value.text}.v{i}", kind) for i, kind in enumerate(value.kind.elements)]
+            elif is_numbers(value.kind):
+                room = count - (len(given) - 1)
+                items = [entry(f"nd_at({value.text}, {i})", element_of(value.kind)) for i in range(room)]
+            else:
+                raise self.no(one, "a tuple or numbers after *", str(value.kind))
+            for item in items:
+                held = self.held(item)
+                self.variables[held.text] = held.kind
+                self.local[held.text] = held.text
+                found.append(ast.copy_location(ast.Name(held.text, ast.Load()), one))
         return found
 
     def _call_definition(
         self, node: ast.AST, definition: Definition, given: list[ast.expr], named: Named, own: Value | None = None
     ) -> Value:
         parameters = definition.parameters[1:] if own is not None else definition.parameters
-        values = self._matched(node, definition.where, parameters, given, named)
+        values = self._matched(node, definition.where, parameters, definition.module, given, named)
         for one in definition.parameters:
             if isinstance(one.kind, Unknown):
                 raise self.no(
@@ -149,7 +209,7 @@ class Calls(Expressions):
         self.line(f"{name} = {text};")
         if fails:
             self.check()
-        return Value(name, kind)
+        return Value(name, kind, fresh=True)
 
     def call_method(self, node: ast.AST, value: Value, name: str, given: list[ast.expr], named: Named) -> Value:
         """Write a call of a method or property of a structure."""
@@ -167,7 +227,7 @@ class Calls(Expressions):
         kind = Structure(known.name)
         self.use(kind)
         fields = [one for one in known.fields.values() if not isinstance(one.kind, Unknown)]
-        given = self._matched(node, known.name, tuple(known.fields.values()), list(node.args), named)
+        given = self._matched(node, known.name, tuple(known.fields.values()), known.module, list(node.args), named)
         values = dict(zip(known.fields, given, strict=True))
         texts = [self.coerced(self.expression(values[one.name], one.kind), one.kind, node).text for one in fields]
         name = self.temporary(kind)
@@ -215,6 +275,9 @@ class Calls(Expressions):
     def _of_each(self, node: ast.Call, short: str, name: str) -> Value:
         of_one, of_entry, kind = OF_NUMBERS[short]
         value = self.certain(self.expression(node.args[0]))
+        if isinstance(value.kind, ComplexArray) and short == "abs":
+            real, imaginary = self.parts_of(value)
+            return self._of_two("HYPOT", real, imaginary, node)
         if is_nd(value.kind) and name != f"math.{short}":
             result = Array(BOOL) if kind == BOOL else ARRAY
             return Value(f"nd_map(arena, {of_entry}, {value.text})", result, fresh=True)
@@ -285,7 +348,21 @@ class Calls(Expressions):
         return Value(pack, Pack((ARRAY, ARRAY)), fresh=True)
 
     def _of_np_linalg_eigvals(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
-        raise self.no(node, "runtime.numerics.modes in place of eigenvalues as complex numbers")
+        return self.called(f"nd_eigvals(arena, {self.array(node.args[0])})", ComplexArray(), fails=True)
+
+    def _of_np_lexsort(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
+        then, first = node.args[0].elts if isinstance(node.args[0], ast.Tuple) else node.args
+        text = f"nd_lexsort(arena, {self.array(then)}, {self.array(first)})"
+        return Value(text, Array(INT), fresh=True)
+
+    def _of_np_frexp(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
+        pack = self.temporary(Pack((ARRAY, ARRAY)))
+        self.line(f"{pack}.v0 = nd_none;")
+        self.line(f"{pack}.v1 = nd_map(arena, nd_exponent_of, {self.array(node.args[0])});")
+        return Value(pack, Pack((ARRAY, ARRAY)), fresh=True)
+
+    def _of_map(self, node: ast.Call, _named: Named, want: Kind | None) -> Value:
+        return self.comprehension(node, want)
 
     def shape(self, node: ast.expr) -> str:
         """Return a shape as `rank, lengths` for nd.h."""
@@ -301,7 +378,12 @@ class Calls(Expressions):
     def _filled(self, node: ast.Call, value: str) -> Value:
         return Value(f"nd_full(arena, {self.shape(node.args[0])}, {value})", ARRAY, fresh=True)
 
-    def _of_np_zeros(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
+    def _of_np_zeros(self, node: ast.Call, named: Named, _want: Kind | None) -> Value:
+        if "dtype" in named and ast.unparse(named["dtype"]) == "complex":
+            name = self.temporary(ComplexArray())
+            for part in ("v0", "v1"):
+                self.line(f"{name}.{part} = {self._filled(node, '0.0').text};")
+            return Value(name, ComplexArray())
         return self._filled(node, "0.0")
 
     _of_np_empty = _of_np_zeros  # nothing reads what was not written
@@ -456,7 +538,7 @@ class Calls(Expressions):
     def _of_math_frexp(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
         pack = self.temporary(Pack((FLOAT, INT)))
         self.line(f"{pack}.v0 = 0.0;")
-        self.line(f"{pack}.v1 = nd_exponent({self.number(node.args[0])});")
+        self.line(f"{pack}.v1 = (int)nd_exponent_of({self.number(node.args[0])});")
         return Value(pack, Pack((FLOAT, INT)))
 
     def _extreme(self, node: ast.Call, named: Named, short: str) -> Value:
@@ -523,7 +605,7 @@ class Calls(Expressions):
             return self.comprehension(node.args[0], want)
         value = self.certain(self.expression(node.args[0]))
         if isinstance(value.kind, Array):
-            if isinstance(want, Listing) and want.element in (ARRAY,):
+            if isinstance(want, Listing) and want.element in (ARRAY, Maybe(ARRAY)):
                 return self._rows_of(value)
             raise self.no(node, "a list whose type is known: .tolist() for numbers, or an annotation")
         if is_nd(value.kind):
@@ -562,6 +644,8 @@ class Calls(Expressions):
             found = self._array_method(node, value, name, named)
             if found is not None:
                 return found
+        if isinstance(value.kind, ComplexArray) and name == "astype":
+            return value
         if value.kind == INT and name in ("bit_count", "bit_length"):
             return Value(f"nd_{'bits' if name == 'bit_count' else name}({value.text})", INT)
         raise self.no(node, "a method that has a translation", f".{name} of type {value.kind}")
@@ -569,6 +653,8 @@ class Calls(Expressions):
     def _array_method(self, node: ast.Call, value: Value, name: str, named: Named) -> Value | None:
         if name == "copy":
             return Value(f"nd_copy(arena, {value.text})", value.kind, fresh=True)
+        if name == "astype" and ast.unparse(node.args[0]) in ("float", "complex"):
+            return Value(value.text, ARRAY, value.fresh)
         if name == "tolist":
             return Value(
                 value.text, Listing(value.kind.element) if isinstance(value.kind, Array) else value.kind, value.fresh

@@ -23,6 +23,7 @@ from ndob_fmu.native.translate.kinds import (
     SLICE,
     TEXT,
     Array,
+    ComplexArray,
     Function,
     Kind,
     Listing,
@@ -77,6 +78,11 @@ def number_text(value: float) -> str:
 def entry(text: str, kind: Kind) -> Value:
     """Return an entry of an array, which is stored as float, as a number of its type."""
     return Value(f"(int){text}" if kind == INT else f"({text} != 0.0)" if kind == BOOL else text, kind)
+
+
+def is_reversal(node: ast.expr) -> bool:
+    """Return whether an index is [::-1]."""
+    return isinstance(node, ast.Slice) and ast.unparse(node) == "::-1"
 
 
 class Expressions:
@@ -288,7 +294,7 @@ class Expressions:
             case ast.UnaryOp():
                 return self._unary(node)
             case ast.BinOp():
-                return self._binary(node)
+                return self._binary(node, want)
             case ast.BoolOp():
                 return self._boolean(node)
             case ast.Compare():
@@ -332,6 +338,16 @@ class Expressions:
             return self.packed(items, Pack(tuple(item.kind for item in items)), node)
         raise self.no(node, "a constant number, array or tuple", repr(type(value)))
 
+    def _instance(self, value: Any, known: Class, node: ast.AST) -> Value:
+        """Return a constant that is a dataclass or a named tuple."""
+        kind = Structure(known.name)
+        name = self.temporary(kind)
+        for one in known.fields.values():
+            if not isinstance(one.kind, Unknown):
+                field = self.coerced(self.literal(getattr(value, one.name), node), one.kind, node)
+                self.line(f"{name}.{c_name(one.name)} = {field.text};")
+        return Value(name, kind)
+
     def _constant_array(self, value: np.ndarray[Any, Any]) -> Value:
         flat = ", ".join(number_text(float(entry)) for entry in value.ravel()) or "0.0"
         vector = f"nd_vector(arena, {value.size}, (const double[]){{{flat}}})"
@@ -351,7 +367,9 @@ class Expressions:
             return self.function_value(node, want)
         found = self.program.resolve(self.module, node.id)
         if found is not None:
-            return self.literal(getattr(found[0].live, found[1]), node)
+            value = getattr(found[0].live, found[1])
+            known = self.program.class_of(found[0], type(value).__name__)
+            return self.literal(value, node) if known is None else self._instance(value, known, node)
         if self.program.outside(self.module, node.id) in ("math.inf", "math.pi", "math.nan"):
             import math
 
@@ -373,6 +391,8 @@ class Expressions:
             if node.attr == "shape":
                 held = self.held(value)
                 return Value(f"{held.text}.n", Unknown(f"shape {held.text}"))
+        if isinstance(value.kind, ComplexArray) and node.attr in ("real", "imag"):
+            return self.parts_of(value)[node.attr == "imag"]
         if value.kind == SLICE and node.attr in ("start", "stop"):
             return Value(f"{value.text}.{node.attr}", INT)
         if isinstance(value.kind, Structure):
@@ -413,10 +433,14 @@ class Expressions:
             return self._item(node, value, value.kind)
         if isinstance(value.kind, Array):
             return self._part(node, value, value.kind)
+        if isinstance(value.kind, ComplexArray):
+            return self._complex([self._part(node, part, ARRAY) for part in self.parts_of(value)])
         raise self.no(node, "an index into an array, list or tuple", f"{ast.unparse(node)} of type {value.kind}")
 
     def _item(self, node: ast.Subscript, value: Value, kind: Listing) -> Value:
-        whole = isinstance(node.slice, ast.Slice) or self._kind(node.slice) == SLICE
+        if is_reversal(node.slice):
+            return self._backwards(value, kind)
+        whole = isinstance(node.slice, ast.Slice) or self.kind_if_known(node.slice) == SLICE
         if whole:
             if is_numbers(kind):
                 return Value(f"nd_get({value.text}, {self.indices(node.slice)})", kind)
@@ -427,6 +451,15 @@ class Expressions:
         if isinstance(node.slice, ast.UnaryOp):
             return Value(f"{value.text}.p[{value.text}.n - {ast.unparse(node.slice.operand)}]", kind.element)
         return Value(f"{value.text}.p[{self.number(node.slice, INT)}]", kind.element)
+
+    def _backwards(self, value: Value, kind: Listing) -> Value:
+        if is_numbers(kind):
+            return Value(f"nd_reversed({value.text})", kind)
+        value, name, i = self.held_structure(value), self.temporary(kind), self.temporary(INT)
+        self.line(f"{name}.n = {value.text}.n;")
+        self.line(f"{name}.p = nd_take_bytes(arena, sizeof({c_type(kind.element)}) * (size_t)nd_imax2({name}.n, 1));")
+        self.line(f"for ({i} = 0; {i} < {name}.n; {i}++) {name}.p[{i}] = {value.text}.p[{name}.n - 1 - {i}];")
+        return Value(name, kind, fresh=True)
 
     def _listed_part(self, node: ast.Subscript, value: Value, kind: Listing) -> Value:
         part = node.slice
@@ -440,7 +473,7 @@ class Expressions:
         self.line(f"{name}.p = {value.text}.p + ({start});")
         return Value(name, kind)
 
-    def _kind(self, node: ast.expr) -> Kind | None:
+    def kind_if_known(self, node: ast.expr) -> Kind | None:
         """Return the type of an expression; what its evaluation would write is dropped."""
         try:
             kind: Kind | None = None
@@ -483,7 +516,7 @@ class Expressions:
         """Return an index that lists entries, or marks them, as an array of indices."""
         if isinstance(part, (ast.Slice, ast.Constant)):
             return None
-        kind = self._kind(part)
+        kind = self.kind_if_known(part)
         if kind is None or not is_nd(kind) or isinstance(kind, Maybe):
             return None
         if kind == Array(BOOL):
@@ -495,6 +528,8 @@ class Expressions:
         return None
 
     def _part(self, node: ast.Subscript, value: Value, kind: Array) -> Value:
+        if is_reversal(node.slice):
+            return Value(f"nd_reversed({value.text})", kind)
         crossed = self.crossed(node.slice)
         if crossed is not None:
             return Value(f"nd_take2(arena, {value.text}, {crossed[0]}, {crossed[1]})", kind, fresh=True)
@@ -529,12 +564,17 @@ class Expressions:
             return Value(f"(-{value.text})", INT if value.kind == BOOL else value.kind)
         raise self.no(node, "- of numbers, ~ of arrays of bool, or not")
 
-    def _binary(self, node: ast.BinOp) -> Value:
-        left, right = self.certain(self.expression(node.left)), self.certain(self.expression(node.right))
+    def _binary(self, node: ast.BinOp, want: Kind | None) -> Value:
+        repeated = isinstance(node.op, ast.Mult) and isinstance(node.left, (ast.List, ast.Tuple))
+        left = self.certain(self.expression(node.left, want if repeated else None))
+        right = self.certain(self.expression(node.right))
         return self.operation(node.op, left, right, node)
 
     def operation(self, operator: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
         """Return what an operator of arithmetic makes of two values."""
+        for one, other in ((left, right), (right, left)):
+            if isinstance(one.kind, ComplexArray) and is_number(other.kind) and isinstance(operator, ast.Mult):
+                return self._complex([self.operation(operator, part, other, node) for part in self.parts_of(one)])
         if isinstance(operator, ast.MatMult):
             return Value(
                 f"nd_matmul(arena, {self.as_array(left, node)}, {self.as_array(right, node)})", ARRAY, fresh=True
@@ -551,6 +591,17 @@ class Expressions:
         if isinstance(operator, ast.Add) and is_nd(left.kind) and is_nd(right.kind):
             return Value(f"nd_concatenate(arena, 0, 2, (nd[]){{{left.text}, {right.text}}})", left.kind, fresh=True)
         raise self.no(node, "an operation on numbers or arrays", f"{ast.unparse(node)} of {left.kind} and {right.kind}")
+
+    def parts_of(self, value: Value) -> list[Value]:
+        """Return the real and the imaginary part of complex numbers."""
+        value = self.held(value)
+        return [Value(f"{value.text}.v0", ARRAY), Value(f"{value.text}.v1", ARRAY)]
+
+    def _complex(self, parts: list[Value]) -> Value:
+        name = self.temporary(ComplexArray())
+        for i, part in enumerate(parts):
+            self.line(f"{name}.v{i} = {part.text};")
+        return Value(name, ComplexArray())
 
     def of_arrays(self, name: str, left: Value, right: Value, node: ast.AST) -> Value:
         """Return an operation entry by entry; `name` as in nd.h."""
@@ -597,7 +648,7 @@ class Expressions:
 
     def _boolean(self, node: ast.BoolOp) -> Value:
         """Write `and` and `or` of conditions; `a or b` of other values is the first one that counts as true."""
-        first = self._kind(node.values[0])
+        first = self.kind_if_known(node.values[0])
         if first not in (BOOL, Array(BOOL)):
             if isinstance(node.op, ast.Or):
                 return self._or_else(node, self.expression(node.values[0]))
@@ -707,6 +758,10 @@ class Expressions:
         if want is not None:
             return want
         found: list[Kind] = []
+        for part, rest in ((node.body, node.orelse), (node.orelse, node.body)):
+            if isinstance(part, (ast.List, ast.Tuple)) and not part.elts:
+                kind = self.kind_if_known(rest)
+                return NUMBERS if kind is not None and is_nd(kind) else kind or NUMBERS
         for part in (node.body, node.orelse):
 
             def look(part: ast.expr = part) -> None:

@@ -30,6 +30,11 @@ class Array:
 
 
 @dataclass(frozen=True)
+class ComplexArray:
+    """A vector of complex numbers: real and imaginary parts."""
+
+
+@dataclass(frozen=True)
 class Structure:
     """A dataclass or a named tuple."""
 
@@ -72,7 +77,7 @@ class Unknown:
     text: str
 
 
-Kind: TypeAlias = Simple | Array | Structure | Listing | Pack | Maybe | Function | Unknown
+Kind: TypeAlias = Simple | Array | ComplexArray | Structure | Listing | Pack | Maybe | Function | Unknown
 
 ARRAY = Array()
 NUMBERS = Listing(FLOAT)
@@ -130,6 +135,8 @@ def word(kind: Kind) -> str:
             return f"f_{'_'.join(map(word, arguments))}_to_{word(result)}"
         case Array():
             return "nd"
+        case ComplexArray():
+            return "complex"
         case Unknown(text):
             raise TypeError(text)
 
@@ -143,6 +150,8 @@ def c_type(kind: Kind) -> str:
             return c
         case Structure(name):
             return name
+        case ComplexArray():
+            return "nd_two"
         case Listing(element) if is_nd(element):
             return "nd_list"
         case Listing(element) if element == TEXT:

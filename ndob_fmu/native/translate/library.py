@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ndob_fmu.native.translate.kinds import ARRAY, BOOL, FLOAT, INT, Array, Kind, Pack
+from ndob_fmu.native.translate.kinds import ARRAY, BOOL, FLOAT, INT, NUMBERS, Array, Kind, Pack
 
 # Functions of one number, which NumPy applies to each entry too. The second name: the function for entries.
 OF_NUMBERS: dict[str, tuple[str, str, Kind]] = {
@@ -14,7 +14,7 @@ OF_NUMBERS: dict[str, tuple[str, str, Kind]] = {
     "isinf": ("nd_isinf", "nd_isinf", BOOL),
     "round": ("nearbyint", "nearbyint", FLOAT),
 }
-for _name in ("sqrt", "exp", "log", "log2", "log10", "log1p", "exp2", "sin", "cos", "ceil"):
+for _name in ("sqrt", "exp", "log", "log2", "log10", "log1p", "exp2", "sin", "cos", "ceil", "floor"):
     OF_NUMBERS[_name] = (_name, _name, FLOAT)
 # Functions of two, entry by entry.
 OF_TWO = {"maximum": "MAX", "minimum": "MIN", "hypot": "HYPOT", "copysign": "COPYSIGN"}
@@ -53,6 +53,8 @@ FUNCTIONS: dict[str, Known] = {
     "np.delete": Known("nd_delete", (ARRAY, INT), ARRAY),
     "np.nextafter": Known("nextafter", (FLOAT, FLOAT), FLOAT, memory=False),
     "np.tri": Known("nd_tri", (INT,), Array(BOOL)),
+    "sorted": Known("nd_sorted", _ONE, NUMBERS),
+    "math.remainder": Known("remainder", (FLOAT, FLOAT), FLOAT, memory=False),
     "np.dot": Known("nd_matmul", _TWO, ARRAY),
     "math.factorial": Known("nd_factorial", (INT,), FLOAT, memory=False),
     "math.pow": Known("pow", (FLOAT, FLOAT), FLOAT, memory=False),

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 from ndob_fmu.native.translate.expressions import c_name
 from ndob_fmu.native.translate.kinds import (
+    ARRAY,
     NOTHING,
     TEXT,
     Array,
+    ComplexArray,
     Function,
     Kind,
     Listing,
@@ -146,7 +148,7 @@ def _ordered(program: Program, kinds: Iterable[Kind]) -> list[Kind]:
     def visit(kind: Kind) -> None:
         if isinstance(kind, Unknown) or is_nd(kind) or kind in found:
             return
-        own = c_type(kind)
+        own = word(kind)
         if own in open_:
             return
         open_.add(own)
@@ -168,7 +170,7 @@ def _ordered(program: Program, kinds: Iterable[Kind]) -> list[Kind]:
         visit(kind)
     unique: dict[str, Kind] = {}
     for kind in found:
-        unique.setdefault(c_type(kind), kind)
+        unique.setdefault(word(kind), kind)
     return list(unique.values())
 
 
@@ -240,6 +242,8 @@ def _keep(program: Program, kind: Kind) -> str:
             fields = [(f"v{i}", one) for i, one in enumerate(elements)]
         case Maybe(value):
             fields = [("value", value)]
+        case ComplexArray():
+            fields = [("v0", ARRAY), ("v1", ARRAY)]
         case _:
             raise AssertionError(kind)
     lines = [f"    {keeper(own)}(k, &x->{one});" for one, own in fields if holds_memory(program, own)]

@@ -20,6 +20,7 @@ from ndob_fmu.native.translate.kinds import (
     SLICE,
     TEXT,
     Array,
+    ComplexArray,
     Function,
     Kind,
     Listing,
@@ -43,6 +44,7 @@ _SIMPLE: dict[str, Kind] = {
     "NDArray[np.float64]": ARRAY,
     "NDArray[np.bool_]": Array(BOOL),
     "NDArray[np.intp]": Array(INT),
+    "NDArray[np.complex128]": ComplexArray(),
 }
 
 
@@ -154,7 +156,7 @@ class Program:
         if (module.name, name) not in self._definitions:
             node = module.own[name]
             assert isinstance(node, ast.FunctionDef)
-            own = f"{module.name.rpartition('.')[2]}_{name.lstrip('_')}"
+            own = f"{module.name.rpartition('.')[2]}_{name}"
             self._definitions[module.name, name] = self._read(own, module, node, None)
         return self._definitions[module.name, name]
 
@@ -243,6 +245,8 @@ class Program:
             found = self.resolve(module, annotation.id)
             node = None if found is None else found[0].own[found[1]]
             if found is not None and isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
+                if isinstance(node.value, ast.Call) and ast.unparse(node.value).startswith("TypeVar("):
+                    return ARRAY if len(node.value.args) + len(node.value.keywords) == 1 else Unknown(text)
                 return self.kind_of(found[0], node.value)
         return Unknown(text)
 
@@ -261,6 +265,8 @@ class Program:
             kinds = [self.kind_of(module, one) for one in [*inner[0].elts, inner[1]]]
             if not any(isinstance(kind, Unknown) for kind in kinds):
                 return Function(tuple(kinds[:-1]), kinds[-1])
+        if isinstance(node.value, ast.Name) and self.resolve(module, name) is not None:
+            return self.kind_of(module, node.value)  # a generic type, whose variable stands for an array
         if name in ("list", "Sequence") or (name == "tuple" and ast.unparse(inner[-1]) == "..."):
             element = self.kind_of(module, inner[0])
             return Unknown(ast.unparse(node)) if isinstance(element, Unknown) else Listing(element)

@@ -22,6 +22,7 @@ from ndob_fmu.native.translate.kinds import (
     NUMBERS,
     TEXT,
     Array,
+    ComplexArray,
     Function,
     Kind,
     Listing,
@@ -332,7 +333,7 @@ class Writer(Loops):
         if (
             isinstance(array.kind, Listing)
             and not isinstance(target.slice, ast.Slice)
-            and self._kind(target.slice) == INT
+            and self.kind_if_known(target.slice) == INT
         ):
             self.line(
                 f"nd_set({array.text}, {self.number(target.slice, INT)}, {self.as_number(value, FLOAT, target)});"
@@ -531,6 +532,9 @@ class Writer(Loops):
         self.jumps.add(outer)
         self.line(f"if ({' && '.join(f'arena->error != {code}' for code in codes)}) goto {outer};")
         self.line("arena->error = ND_NONE;")
+        if handlers[0].name:
+            self.variables[handlers[0].name] = TEXT
+            self.local[handlers[0].name] = "arena->message"
         self.statements(handlers[0].body)
         self.line(f"{tried}:;")
 
@@ -663,6 +667,8 @@ class Writer(Loops):
             self.line(_GIVE_BACK)
             self.line("return;")
             return
+        if isinstance(kind, Function):
+            raise self.no(node, "a result that is not a function, which lives no longer than what it captured")
         value = self.coerced(self.expression(node.value, kind), kind, node)
         if is_nd(kind):
             self.line(f"return nd_keep(arena, mark_, {value.text});")
@@ -787,7 +793,7 @@ class Writer(Loops):
 def holds_memory(program: Program, kind: Kind) -> bool:
     """Return whether values of a type point to memory of the block."""
     match kind:
-        case Array():
+        case Array() | ComplexArray():
             return True
         case Listing(element):
             return element != TEXT

@@ -52,25 +52,30 @@ def integrate(
 
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
-    return adapt(cash_karp(derivatives, t, t_end), x, t, t_end, h)
-
-
-def cash_karp(derivatives: Callable[[float, Array], Array], t: float, t_end: float) -> Trial[Array]:
-    """Return the trial of a substep as `adapt` wants it, in an interval from t to t_end."""
-    # At a jump of the right-hand side in time t_end already has the new value; the last stage needs the old one.
-    last_inside = np.nextafter(t_end, t)
+    last_inside = float(np.nextafter(t_end, t))
 
     def trial(t: float, x: Array, step: float) -> tuple[Array, float]:
-        K = np.empty((len(NODES), len(x)))
-        K[0] = derivatives(t, x)
-        for i in range(1, len(NODES)):
-            stage = x + step * (K[:i].T @ _STAGE_WEIGHTS[i])
-            K[i] = derivatives(min(t + NODES[i] * step, last_inside), stage)
-        after = x + step * (_WEIGHTS @ K)
-        errors = np.abs(step * (_ERROR_WEIGHTS @ K)) / (ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * np.abs(after))
-        return after, float(np.max(errors, initial=0.0))
+        return cash_karp(derivatives, last_inside, t, x, step)
 
-    return trial
+    return adapt(trial, x, t, t_end, h)
+
+
+def cash_karp(
+    derivatives: Callable[[float, Array], Array], last_inside: float, t: float, x: Array, step: float
+) -> tuple[Array, float]:
+    """Try a substep as `adapt` wants it.
+
+    last_inside: the last time in the interval. At a jump of the right-hand side in time the end of the interval already
+        has the new value; the last stage needs the old one.
+    """
+    K = np.empty((len(NODES), len(x)))
+    K[0] = derivatives(t, x)
+    for i in range(1, len(NODES)):
+        stage = x + step * (K[:i].T @ _STAGE_WEIGHTS[i])
+        K[i] = derivatives(min(t + NODES[i] * step, last_inside), stage)
+    after = x + step * (_WEIGHTS @ K)
+    errors = np.abs(step * (_ERROR_WEIGHTS @ K)) / (ABSOLUTE_TOLERANCE + RELATIVE_TOLERANCE * np.abs(after))
+    return after, float(np.max(errors, initial=0.0))
 
 
 class Substep(NamedTuple):
@@ -97,16 +102,15 @@ def adapt(trial: Trial[X], x: X, t: float, t_end: float, h: float) -> tuple[X, f
 
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
-    done = _adapt(trial, x, t, t_end, h, _next_of_any)
-    if isinstance(done, IntegrationError):
-        raise done
-    return done
+    return _adapt(trial, x, t, t_end, h, _next_of_any)
 
 
 def adapt_in_few(trial: Trial[X], x: X, t_end: float, h: float) -> tuple[X, float] | None:
     """Return what `adapt` does from t = 0; None where that fails, or is seen to need many trials."""
-    done = _adapt(trial, x, 0.0, t_end, h, next_substep)
-    return None if isinstance(done, IntegrationError) else done
+    try:
+        return _adapt(trial, x, 0.0, t_end, h, next_substep)
+    except IntegrationError:
+        return None
 
 
 def _adapt(
@@ -116,16 +120,16 @@ def _adapt(
     t_end: float,
     h: float,
     following: Callable[[float, float, int, float, float], Substep],
-) -> tuple[X, float] | IntegrationError:
+) -> tuple[X, float]:
     left, trials, planned = t_end - t, 1, h
     length = cut(planned, left)
     while True:
         try:
             after, error_norm = trial(t, x, length)
         except (ArithmeticError, ValueError) as error:
-            return IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})")
+            raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
         if not isfinite(error_norm):
-            return IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
+            raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
         if error_norm <= 1.0:
             x = after
             if length == left:
@@ -133,7 +137,7 @@ def _adapt(
                 return x, max(planned, _length_after(length, error_norm))
         t, length, left, trials, planned = following(t, length, trials, error_norm, t_end)
         if not trials:
-            return IntegrationError(
+            raise IntegrationError(
                 f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
                 "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
             )

@@ -12,7 +12,6 @@ rounding level or it is refused.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -60,11 +59,11 @@ def solve_riccati(A: Array, C: Array, G: Array, *, pi: float, alpha: float) -> R
 
     Raises DesignError where the relative residual stays above 1e-8.
     """
-    return next(solve_riccati_over(A, C, G, pis=np.array([pi]), alpha=alpha))
+    return solve_riccati_over(A, C, G, pis=np.array([pi]), alpha=alpha)[0]
 
 
-def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float) -> Iterator[RiccatiSolution]:
-    """Yield the solutions for each of the increasing values `pis`, each scaled by the one before it.
+def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float) -> list[RiccatiSolution]:
+    """Return the solutions for each of the increasing values `pis`, each scaled by the one before it.
 
     Raises DesignError like `solve_riccati`.
     """
@@ -73,7 +72,8 @@ def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float
     shifted = A_b + alpha * np.eye(len(A))
     Q_scaled, scale = np.eye(len(A)), np.ones(len(A))
     previous = min(1.0, float(pis[0]))
-    for pi in pis:
+    solutions = []
+    for pi in pis.tolist():
         steps = int(np.ceil(np.log(pi / previous) / np.log(_CONTINUATION_FACTOR)))
         for value in [*np.geomspace(previous, pi, steps + 1)[1:-1], pi]:
             V, scale = _principal_axes(Q_scaled, scale, edges)
@@ -81,18 +81,21 @@ def solve_riccati_over(A: Array, C: Array, G: Array, *, pis: Array, alpha: float
             Q_scaled, scale = _settle_scale(shifted, C_b, G_b, value, scale)
         previous = pi
         Q = basis @ (scale[:, None] * Q_scaled * scale) @ basis.T
-        yield RiccatiSolution(
-            pi=float(pi),
-            alpha=alpha,
-            Q=Q,
-            coordinates=basis * scale,
-            balanced=Q_scaled,
-            residual=max(
-                _relative_residual(Q_scaled, *_terms(shifted, C_b, G_b, pi, scale)),
-                # Rounding of Q in the states x alone can spoil the gain at extreme π.
-                _relative_size((A + alpha * np.eye(len(A))) @ Q, Q @ C.T @ (C @ Q), pi * G @ G.T),
-            ),
+        solutions.append(
+            RiccatiSolution(
+                pi=pi,
+                alpha=alpha,
+                Q=Q,
+                coordinates=basis * scale,
+                balanced=Q_scaled,
+                residual=max(
+                    _relative_residual(Q_scaled, *_terms(shifted, C_b, G_b, pi, scale)),
+                    # Rounding of Q in the states x alone can spoil the gain at extreme π.
+                    _relative_size((A + alpha * np.eye(len(A))) @ Q, Q @ C.T @ (C @ Q), pi * G @ G.T),
+                ),
+            )
         )
+    return solutions
 
 
 def controllability_staircase(A: Array, G: Array) -> tuple[Array, Array, Array, list[int]]:
@@ -165,7 +168,8 @@ def _principal_axes(Q_scaled: Array, scale: Array, edges: list[int]) -> tuple[Ar
     V makes a diagonal block of Q diagonal where the scale alone leaves it ill-conditioned; elsewhere it is I.
     """
     V, scale = np.eye(len(scale)), scale.copy()
-    for block in (slice(*ends) for ends in pairwise(edges)):
+    for start, stop in pairwise(edges):
+        block = slice(start, stop)
         own = Q_scaled[block, block]
         if np.all(np.isfinite(own)) and np.all(np.diag(own) > 0) and np.linalg.cond(own) > _WELL_CONDITIONED:
             sizes, V[block, block] = np.linalg.eigh(scale[block, None] * own * scale[block])

@@ -43,7 +43,11 @@ def integrate_any(derivatives: Derivatives, slopes: Slopes, x: Array, t_end: flo
 
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
-    trial = cash_karp(derivatives, 0.0, t_end)
+    last_inside = float(np.nextafter(t_end, 0.0))
+
+    def trial(t: float, x: Array, step: float) -> tuple[Array, float]:
+        return cash_karp(derivatives, last_inside, t, x, step)
+
     explicit = adapt_in_few(trial, x, t_end, h)
     if explicit is not None:
         return explicit
