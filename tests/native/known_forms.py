@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
+
+TABLE = {"half": 0.5, "whole": 1.0}
 
 
 def _fails(x: float) -> bool:
@@ -118,3 +123,37 @@ def norms(A: Array) -> list[float]:
 
 def basis(A: Array) -> Array:
     return np.abs(np.linalg.qr(A)[0])
+
+
+@dataclass(frozen=True)
+class Line:
+    slope: float
+
+    def __call__(self, x: float) -> float:
+        return self.slope * x
+
+
+def calls_a_value(x: float) -> float:
+    line = Line(TABLE["half"])
+    return line(x)
+
+
+def is_one_of(x: int) -> bool:
+    return x in (1, 4)
+
+
+def is_none_of(x: int) -> bool:
+    return x not in (1, 4)
+
+
+def _refuses(x: float) -> float:
+    if x < 0.0:
+        raise DesignError(f"{x:g} is below 0")
+    return x
+
+
+def says_why(x: float) -> float:
+    try:
+        return _refuses(x)
+    except DesignError as error:
+        raise DesignError(f"no answer ({error})") from None

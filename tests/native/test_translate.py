@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu.native.translate.print_c import translate
+from ndob_fmu.runtime.base_errors import DesignError
 from tests.helpers.translated import Library, difference
 from tests.native import known_forms
 
@@ -45,6 +46,8 @@ CASES = [
     ("solution", _TALL, _RANDOM.standard_normal(5)),
     ("solution", _LOW_RANK, _RANDOM.standard_normal((5, 2))),
     ("basis", _TALL),
+    ("calls_a_value", 3.0),
+    *((name, x) for name in ("is_one_of", "is_none_of") for x in (1, 2, 4)),
 ]
 
 
@@ -68,6 +71,14 @@ def test_a_form_means_in_c_what_it_means_in_python(forms, case):
     scale = 1.0 if name == "is_orthogonal" else 0.0
     own = forms.call(definition, arguments)
     assert difference(np.add(expected, scale), np.add(own, scale)) <= 1e-14 * 30
+
+
+def test_an_error_carries_the_text_of_the_one_that_it_follows_from(forms):
+    (definition,) = [one for one in forms.translation.definitions if one.node.name == "says_why"]
+    assert forms.call(definition, [2.0]) == 2.0
+    with pytest.raises(DesignError):
+        forms.call(definition, [-2.0])
+    assert forms.arena.message.decode() == "no answer (-2 is below 0)"
 
 
 @pytest.mark.parametrize(

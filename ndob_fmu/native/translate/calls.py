@@ -59,6 +59,8 @@ class Calls(Expressions):
             known = self.variables.get(node.func.id)
             if isinstance(known, Function):
                 return self._call_value(node, self.expression(node.func), known)
+            if isinstance(known, Structure) and "__call__" in self.program.structure(known.name).methods:
+                return self.call_method(node, self.expression(node.func), "__call__", list(node.args), named)
             if node.func.id in self.closures:
                 value = self.closure_value(node.func, None)
                 assert isinstance(value.kind, Function)

@@ -184,6 +184,8 @@ class Expressions:
             value = self.held(value)
             items = [Value(f"{value.text}.v{i}", own) for i, own in enumerate(elements_of(value.kind))]
             return self.listed(items, kind, node)
+        if isinstance(kind, Function) and isinstance(value.kind, Function) and c_type(kind) == c_type(value.kind):
+            return Value(value.text, kind)
         raise self.no(node, f"a value of type {kind}", f"{ast.unparse(node)} of type {value.kind}")
 
     def _maybe(self, value: Value, kind: Maybe, node: ast.AST) -> Value:
@@ -418,6 +420,11 @@ class Expressions:
         return list(node.elts) if isinstance(node, ast.Tuple) else [node]
 
     def _subscript(self, node: ast.Subscript) -> Value:
+        if isinstance(node.value, ast.Name) and isinstance(node.slice, ast.Constant):
+            found = None if node.value.id in self.variables else self.program.resolve(self.module, node.value.id)
+            table = None if found is None else getattr(found[0].live, found[1], None)
+            if isinstance(table, dict):
+                return self.literal(table[node.slice.value], node)
         value = self.certain(self.expression(node.value))
         if isinstance(value.kind, Unknown) and value.kind.text.startswith("shape "):
             array = value.kind.text.split()[1]
@@ -714,7 +721,11 @@ class Expressions:
             if is_nd(left.kind) and is_nd(right.kind):
                 return Value(f"({left.text}.p {'==' if same else '!='} {right.text}.p)", BOOL)
         if isinstance(operator, (ast.In, ast.NotIn)):
-            raise self.no(node, "a comparison that is not `in`")
+            if not isinstance(other, (ast.Tuple, ast.List)) or not is_number(left.kind):
+                raise self.no(node, "`in` of a number and of a tuple that is written out")
+            held = self.held(left)
+            equal = [self.compared(ast.Eq(), held, self.expression(one), node).text for one in other.elts]
+            return Value(f"{'!' if isinstance(operator, ast.NotIn) else ''}({' || '.join(equal)})", BOOL)
         return self.compared(operator, left, self.expression(other), node)
 
     def compared(self, operator: ast.cmpop, left: Value, right: Value, node: ast.AST) -> Value:

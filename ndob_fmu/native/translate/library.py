@@ -52,6 +52,7 @@ FUNCTIONS: dict[str, Known] = {
     "np.diff": Known("nd_diff", _ONE, ARRAY),
     "np.delete": Known("nd_delete", (ARRAY, INT), ARRAY),
     "np.nextafter": Known("nextafter", (FLOAT, FLOAT), FLOAT, memory=False),
+    "math.nextafter": Known("nextafter", (FLOAT, FLOAT), FLOAT, memory=False),
     "np.tri": Known("nd_tri", (INT,), Array(BOOL)),
     "sorted": Known("nd_sorted", _ONE, NUMBERS),
     "math.remainder": Known("remainder", (FLOAT, FLOAT), FLOAT, memory=False),

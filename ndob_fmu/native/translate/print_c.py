@@ -52,10 +52,13 @@ class Translation:
     program: Program
 
 
-def translate(modules: Sequence[str], name: str, *, leave_out: Collection[str] = ()) -> Translation:
+def translate(
+    modules: Sequence[str], name: str, *, leave_out: Collection[str] = (), only: Collection[str] | None = None
+) -> Translation:
     """Return the functions and methods of modules, and all that these use, in C.
 
     leave_out: functions, by module and name, that are not tried unless others use them
+    only: the functions, by module and name, that are tried besides those that they use; None: all
     """
     program = Program()
     world = World(program)
@@ -69,7 +72,7 @@ def translate(modules: Sequence[str], name: str, *, leave_out: Collection[str] =
             if known is not None and known.module is module:
                 for method in known.methods.values():
                     world.need(method)
-    world.wanted = [one for one in world.wanted if one.where not in leave_out]
+    world.wanted = [one for one in world.wanted if one.where not in leave_out and (only is None or one.where in only)]
     texts, uses, refused = _texts(world)
     _without_dependents(texts, uses, refused)
     kinds = [kind for one in texts.values() for kind in one[1]]

@@ -758,6 +758,8 @@ class Writer(Loops):
         if not any("arena" in line for line in lines if line != _GIVE_BACK):
             lines = ["(void)arena;", *(line for line in lines if line != _GIVE_BACK)]
         words = {word for line in lines for word in re.findall(r"\w+", line)}
+        unread = [own for one in self.definition.parameters if (own := self._own(one)) not in words]
+        lines = [*(f"(void){own};" for own in unread), *lines]
         result = ["size_t mark_ = arena->used;"] if "mark_" in words else []
         result += [f"{environment} {name};" for environment, name in self.environments]
         result += [self._declaration(name, own) for name, own in self.declared.items() if name in words]

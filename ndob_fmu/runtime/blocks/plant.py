@@ -6,10 +6,9 @@ many would be needed, `numerics.stiff` takes their place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from math import inf, isfinite, nextafter
 
 import numpy as np
@@ -17,9 +16,8 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.blocks.disturbance import Generator
 from ndob_fmu.runtime.equations import Equations, Vector
-from ndob_fmu.runtime.generated_steps import Trial
 from ndob_fmu.runtime.numerics.integrate import NODES, adapt, adapt_in_few
-from ndob_fmu.runtime.numerics.stiff import Derivatives, Slopes, integrate_any, integrate_stiff
+from ndob_fmu.runtime.numerics.stiff import integrate_any, integrate_stiff
 
 # Between the times at which the rate of a generator is taken, in parts of a step in which none of them jumps.
 _DIFFERENCE = 1e-6
@@ -63,34 +61,91 @@ class Plant:
         constants = self._constants
         if constants is None:
             return self.step_by_definition(state, u, d, t_end, step_size)
-        x, substep = state.x, state.substep
-        for begin, end, duration in self._stretches(state.t, t_end, step_size):
-            trial = self._trial(u, d, constants, begin, end, duration)
-            explicit = adapt_in_few(trial, x, duration, substep)
-            if explicit is not None:
-                x, substep = explicit
-                continue
-            rates, slopes = self._derivatives(u, d, begin, end), self._slopes(u, d, begin, end)
-            after = integrate_stiff(rates, slopes, np.array(x), duration)
-            x, substep = adapt(trial, x, 0.0, duration, substep) if after is None else (tuple(after.tolist()), substep)
+        x, substep, begin = state.x, state.substep, state.t
+        whole = t_end - begin
+        if step_size is not None:
+            whole = step_size
+        while begin < t_end:
+            end = self._end_of_stretch(begin, t_end)
+            duration = whole if begin == state.t and end == t_end else end - begin
+            x, substep = self._across(x, substep, u, d, constants, begin, end, duration)
+            begin = end
         return PlantState(x=x, t=t_end, substep=substep)
 
     def step_by_definition(
         self, state: PlantState, u: Vector, d: Vector, t_end: float, step_size: float | None = None
     ) -> PlantState:
         """Do what `step` does, for its tests and for parameters at which the generated code cannot be prepared."""
-        x, substep = np.array(state.x), state.substep
-        for begin, end, duration in self._stretches(state.t, t_end, step_size):
-            rates, slopes = self._derivatives(u, d, begin, end), self._slopes(u, d, begin, end)
-            x, substep = integrate_any(rates, slopes, x, duration, substep)
+        x, substep, begin = np.array(state.x), state.substep, state.t
+        whole = t_end - begin
+        if step_size is not None:
+            whole = step_size
+        while begin < t_end:
+            end = self._end_of_stretch(begin, t_end)
+            duration = whole if begin == state.t and end == t_end else end - begin
+            x, substep = self._across_by_definition(x, substep, u, d, begin, end, duration)
+            begin = end
         return PlantState(x=tuple(x.tolist()), t=t_end, substep=substep)
 
-    def _stretches(self, t: float, t_end: float, step_size: float | None) -> list[tuple[float, float, float]]:
-        """Return begin, end and duration of the parts of a step in which the generators do not jump."""
-        breaks = sorted({b for g in self.generators for b in g.breaks if t < b < t_end})
-        if not breaks:
-            return [(t, t_end, t_end - t if step_size is None else step_size)]
-        return [(begin, end, end - begin) for begin, end in pairwise((t, *breaks, t_end))]
+    def _end_of_stretch(self, begin: float, t_end: float) -> float:
+        """Return the first time after `begin` at which a generator jumps; t_end if none does before that."""
+        end = t_end
+        for generator in self.generators:
+            for time in generator.breaks:
+                if begin < time < end:
+                    end = time
+        return end
+
+    def _across(
+        self,
+        x: tuple[float, ...],
+        substep: float,
+        u: Vector,
+        d: Vector,
+        constants: tuple[float, ...],
+        begin: float,
+        end: float,
+        duration: float,
+    ) -> tuple[tuple[float, ...], float]:
+        """Return x at the end of a stretch without jumps, and the explicit substep to try next."""
+        # As in `_rates` and `integrate`.
+        last, last_since = nextafter(end, begin), nextafter(duration, 0.0)
+        plant_trial = self.equations.steps.plant_trial
+
+        def trial(since: float, start: tuple[float, ...], h: float) -> tuple[tuple[float, ...], float]:
+            total: list[float] = []
+            for node in NODES:
+                total += self.disturbance(min(begin + min(since + node * h, last_since), last), d)
+            tried = plant_trial(start, u, total, constants, h)
+            return tried.x, tried.error_norm
+
+        explicit = adapt_in_few(trial, x, duration, substep)
+        if explicit is not None:
+            return explicit
+
+        def rates(since: float, start: Array) -> Array:
+            return self._rates(u, d, begin, end, since, start)
+
+        def slopes(since: float, start: Array) -> tuple[Array, Array]:
+            return self._slopes(u, d, begin, end, since, start)
+
+        after = integrate_stiff(rates, slopes, np.array(x), duration)
+        if after is None:
+            return adapt(trial, x, 0.0, duration, substep)
+        return tuple(after.tolist()), substep
+
+    def _across_by_definition(
+        self, x: Array, substep: float, u: Vector, d: Vector, begin: float, end: float, duration: float
+    ) -> tuple[Array, float]:
+        """Return what `_across` does, without generated code."""
+
+        def rates(since: float, start: Array) -> Array:
+            return self._rates(u, d, begin, end, since, start)
+
+        def slopes(since: float, start: Array) -> tuple[Array, Array]:
+            return self._slopes(u, d, begin, end, since, start)
+
+        return integrate_any(rates, slopes, x, duration, substep)
 
     @cached_property
     def _constants(self) -> tuple[float, ...] | None:
@@ -99,41 +154,16 @@ class Plant:
         except (ArithmeticError, ValueError):
             return None
 
-    def _trial(
-        self, u: Vector, d: Vector, constants: tuple[float, ...], begin: float, end: float, duration: float
-    ) -> Callable[[float, tuple[float, ...], float], Trial]:
-        """Return the generated trial of a substep as `adapt` wants it, in the time since `begin`."""
-        # As in `_derivatives` and `integrate`.
-        last, last_since = nextafter(end, begin), nextafter(duration, 0.0)
-        plant_trial = self.equations.steps.plant_trial
+    def _rates(self, u: Vector, d: Vector, begin: float, end: float, since: float, x: Array) -> Array:
+        """Return ẋ at x (n,) at a time since `begin`; d has not yet jumped at `end`."""
+        total = self.disturbance(min(begin + since, nextafter(end, begin)), d)
+        return np.array(self.equations.derivatives(x.tolist(), u, total, self.parameters), dtype=float)
 
-        def trial(since: float, x: tuple[float, ...], h: float) -> Trial:
-            total: list[float] = []
-            for node in NODES:
-                total += self.disturbance(min(begin + min(since + node * h, last_since), last), d)
-            return plant_trial(x, u, total, constants, h)
-
-        return trial
-
-    def _derivatives(self, u: Vector, d: Vector, begin: float, end: float) -> Derivatives:
-        """Return ẋ as a function of the time since `begin` and x (n,); d has not yet jumped at `end`."""
-        last_inside = nextafter(end, begin)
-
-        def derivatives(since: float, x: Array) -> Array:
-            total = self.disturbance(min(begin + since, last_inside), d)
-            return np.array(self.equations.derivatives(x.tolist(), u, total, self.parameters), dtype=float)
-
-        return derivatives
-
-    def _slopes(self, u: Vector, d: Vector, begin: float, end: float) -> Slopes:
-        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂t (n,) as functions of the time since `begin` and x (n,)."""
+    def _slopes(self, u: Vector, d: Vector, begin: float, end: float, since: float, x: Array) -> tuple[Array, Array]:
+        """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂t (n,) at x (n,) at a time since `begin`."""
         last_inside, apart = nextafter(end, begin), _DIFFERENCE * (end - begin)
-
-        def slopes(since: float, x: Array) -> tuple[Array, Array]:
-            t = min(begin + since, last_inside)
-            before, after = max(begin, t - apart), min(last_inside, t + apart)
-            change = np.subtract(self.disturbance(after, d), self.disturbance(before, d))
-            d_rate = change / (after - before) if after > before else 0.0 * change
-            return self.equations.slopes(x.tolist(), u, self.disturbance(t, d), d_rate, self.parameters)
-
-        return slopes
+        t = min(begin + since, last_inside)
+        first, second = max(begin, t - apart), min(last_inside, t + apart)
+        change = np.subtract(self.disturbance(second, d), self.disturbance(first, d))
+        d_rate = change / (second - first) if second > first else 0.0 * change
+        return self.equations.slopes(x.tolist(), u, self.disturbance(t, d), d_rate, self.parameters)
