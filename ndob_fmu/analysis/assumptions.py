@@ -13,6 +13,7 @@ from ndob_fmu.codegen.compile_model import working_part
 from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.support.progress import begin
+from ndob_fmu.support.units import base_unit
 
 _Rows = Callable[[Model, float, Mapping[str, float] | None], tuple[CheckRow, ...]]
 _ROWS: Mapping[Part, _Rows] = {"method 2": estimator_rows, "method 1": paper_rows}
@@ -26,9 +27,11 @@ def check(model: Model, *, alpha: float | None = None, parameters: Mapping[str, 
     parameters: values that replace the model's.
 
     What fails is a row of the report, not an exception. Raises UsageError if α is not a positive number or `model` is
-    no Model, and ModelError for a parameter that the model does not have, or where the plant cannot be evaluated.
+    no Model, and ModelError for a parameter that the model does not have, for an invalid unit, or where the plant
+    cannot be evaluated.
     """
     require_model(model)
+    _require_units(model)
     return _report(model, model.observer.alpha if alpha is None else alpha, parameters, _ROWS)
 
 
@@ -47,8 +50,15 @@ def require_own_part(model: Model) -> None:
     Raises AssumptionError where it lacks something, and what `check` raises.
     """
     require_model(model)
+    _require_units(model)
     own = _decides(model)
     _report(model, model.observer.alpha, None, {own: _ROWS[own]}).require()
+
+
+def _require_units(model: Model) -> None:
+    """Raise ModelError for a text that is no unit; a Model itself does not load the library that knows them."""
+    for unit in sorted({*model.units.values()} - {""}):
+        base_unit(unit)
 
 
 def _report(

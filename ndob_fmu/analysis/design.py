@@ -11,7 +11,7 @@ from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles
 from ndob_fmu.analysis.sampled_data_design import SampledDataDesign, sampled_data_design
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import UsageError
-from ndob_fmu.model.checks import by_name
+from ndob_fmu.model.checks import by_name, require_bounds, require_not_negative
 from ndob_fmu.model.model import Model, require_model
 from ndob_fmu.runtime.design.gains import paper_gains
 from ndob_fmu.runtime.design.lumping import lumped_bound, lumped_rate
@@ -44,10 +44,10 @@ def design(
     Values that are not given are the model's. For a disturbance with a channel the design is that of the lumped
     inputs n_j d.
 
-    Raises UsageError for an invalid π, and for r, σ or bounds without a step_size; ModelError for an unknown output;
-    AssumptionError if the model's method lacks what it needs, or if a given π or α without a step_size asks for the
-    paper's observer and one of its assumptions fails; DesignError for other values outside their range, or if a gain is
-    not accurate enough.
+    Raises UsageError for an invalid π, α or step, and for r, σ or bounds without a step_size; ModelError for an unknown
+    output, and for a σ, a bound or a rate that the model could not have; AssumptionError if the model's method lacks
+    what it needs, or if a given π or α without a step_size asks for the paper's observer and one of its assumptions
+    fails; DesignError for an invalid r, or if a gain is not accurate enough.
     """
     require_model(model)
     if step_size is None:
@@ -78,14 +78,14 @@ def design(
     begin(f"designing the observer of {model.name} for steps of {step_size:g} s")
     order = model.observer.disturbance_order if disturbance_order is None else disturbance_order
     equations, q = compile_model(model), len(model.disturbances)
-    bound = _for_each("disturbance bound", disturbance_bound, q, equations.disturbance_bound)
-    if order == model.observer.disturbance_order and disturbance_bound is None:
-        default = equations.disturbance_rate
-    else:
+    bound, default = equations.disturbance_bound, equations.disturbance_rate
+    if disturbance_bound is not None:
+        bound = require_bounds("disturbance_bound", disturbance_bound, q, positive=True)
+    if order != model.observer.disturbance_order or disturbance_bound is not None:
         default = tuple(
             value * omega ** max(order, 1) for value, omega in zip(bound, _paces(model, equations), strict=True)
         )
-    rate = _for_each("disturbance rate", disturbance_rate, q, default)
+    rate = default if disturbance_rate is None else require_bounds("disturbance_rate", disturbance_rate, q)
     return sampled_data_design(
         model,
         paper=paper,
@@ -93,7 +93,7 @@ def design(
         alpha=alpha,
         step_size=step_size,
         order=order,
-        noise_std=by_name("noise_std", {} if noise_std is None else noise_std, model.outputs, equations.noise_std),
+        noise_std=_noise(model, noise_std, equations.noise_std),
         disturbance_bound=tuple(lumped_bound(equations, bound)),
         disturbance_rate=tuple(lumped_rate(equations, bound, rate, order=order)),
         by_pi=expert is not None,
@@ -119,17 +119,11 @@ def _require_none_given(**of_the_samples: object) -> None:
             )
 
 
-def _for_each(
-    name: str, value: float | Sequence[float] | None, q: int, default: tuple[float, ...]
-) -> tuple[float, ...]:
-    if value is None:
-        return default
-    numbers = tuple(value) if isinstance(value, Sequence) else (value,) * q
-    if len(numbers) == 1:  # the command line gives a list even if one number is meant for all
-        numbers = numbers * q
-    if len(numbers) != q:
-        raise UsageError.report(name, expected=f"one number, or {q}: one for each disturbance", received=repr(value))
-    return tuple(float(number) for number in numbers)
+def _noise(model: Model, value: float | Mapping[str, float] | None, default: Sequence[float]) -> tuple[float, ...]:
+    found = by_name("noise_std", {} if value is None else value, model.outputs, default)
+    for output, std in zip(model.outputs, found, strict=True):
+        require_not_negative(f"noise_std, {output}", std)
+    return tuple(map(float, found))
 
 
 def _continuous(model: Model, pi: float, alpha: float, parameters: Mapping[str, float] | None) -> PaperDesign:

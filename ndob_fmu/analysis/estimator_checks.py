@@ -165,16 +165,20 @@ def _error_bars(model: Model, equations: Equations, values: Sequence[float]) -> 
     """
     H, settings = model.experiment.step_size, observer_settings(equations)
     observer = sampled_observer(equations, values, settings, equations.xhat0)
+    refused = "" if observer.longest >= H else f"the default step is too long; at most {observer.longest:.3g} s"
     try:
-        observer.tuned(H)
-    except DesignError as refused:
+        if not refused:
+            observer.tuned(H)
+    except DesignError as why:
+        refused = str(why)
+    if refused:
         return outcome(
             "error_bars",
             False,
             "an observer that can be tuned",
             f"no gain at steps of {H:g} s",
             failure=f"no gain at steps of {H:g} s",
-            likely=str(refused),
+            likely=refused,
             values={},
         )
     of_x = {}

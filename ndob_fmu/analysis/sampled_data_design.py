@@ -13,7 +13,7 @@ from ndob_fmu.analysis.certificate import Certificate, certify, no_certificate
 from ndob_fmu.analysis.error_bars import settled_error_bars
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.errors import DesignError
+from ndob_fmu.errors import DesignError, UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.lumping import lumped
@@ -160,7 +160,8 @@ def sampled_data_design(
 ) -> SampledDataDesign:
     """Design the sampled-data observer of the model for a step H > 0 s; `by_pi`: π sets the intensity, not the rate.
 
-    Raises DesignError for values outside their range or where no stationary gain can be found.
+    Raises UsageError for a step over which the plant cannot be predicted, DesignError for values outside their range or
+    where no stationary gain can be found.
     """
     equations = continued(lumped(compile_model(model)))
 
@@ -182,6 +183,10 @@ def sampled_data_design(
         )
 
     observer = observer_for(disturbance_rate)
+    if not observer.longest >= step_size:
+        raise UsageError.report(
+            "step size", expected=f"at most {observer.longest:.3g} s for {model.name}", received=f"{step_size:g} s"
+        )
     known = observer.known
     if by_pi:
         observer = observer_for((0.0,) * len(disturbance_rate))

@@ -10,9 +10,9 @@ import numpy as np
 
 from ndob_fmu.codegen.emit import FunctionTexts, equations_text, function_texts, header_text
 from ndob_fmu.codegen.once_per_model import once_per_model
-from ndob_fmu.errors import ModelError, some_of
+from ndob_fmu.errors import DesignError, ModelError, some_of
 from ndob_fmu.model.model import Model
-from ndob_fmu.runtime.design.operating_point import middle_input, tangent
+from ndob_fmu.runtime.design.operating_point import middle_input, require_tangent
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.support.progress import begin
@@ -88,15 +88,10 @@ def working_part(model: Model, parameters: Mapping[str, float] | None = None) ->
     if model.vector_field.has_paper_form:
         return linear_part(model, parameters)
     equations = compile_model(model)
-    found = tangent(equations, model.parameter_values(parameters), equations.xhat0)
-    if found is None:
-        raise ModelError.report(
-            f"{model.name}, linearised at its start values",
-            expected="finite slopes of the derivatives and outputs",
-            received="some that cannot be evaluated",
-            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
-        )
-    return found
+    try:
+        return require_tangent(equations, model.parameter_values(parameters), equations.xhat0)
+    except DesignError as error:
+        raise ModelError(str(error)) from error
 
 
 def linear_part(model: Model, parameters: Mapping[str, float] | None = None) -> LinearPart:

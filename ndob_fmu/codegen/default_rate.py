@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ndob_fmu.codegen.print_python import IMPORTS
-from ndob_fmu.model.checks import for_each, require_numbers
+from ndob_fmu.model.checks import require_bounds
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.operating_point import driven_modes, middle_input
@@ -39,7 +39,7 @@ def disturbance_rate(model: Model, texts: Texts) -> tuple[float, ...]:
     if told is None:
         order = max(model.observer.disturbance_order, 1)
         return tuple(value * _pace(model, texts) ** order for value in bound)
-    return require_numbers(f"{model.name}.observer.disturbance_rate", for_each(len(bound), told), len(bound))
+    return require_bounds(f"{model.name}.observer.disturbance_rate", told, len(bound))
 
 
 def _pace(model: Model, texts: Texts) -> float:

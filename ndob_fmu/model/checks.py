@@ -120,6 +120,19 @@ def require_numbers(where: str, value: Any, count: int, *, positive: bool = Fals
     return tuple(float(v) for v in numbers)
 
 
+def require_bounds(
+    where: str, value: Any, count: int, *, of: str = "disturbance", positive: bool = False
+) -> tuple[float, ...]:
+    """Return `count` finite numbers ≥ 0, one for each `of`; one number counts for all. `positive`: all of them > 0."""
+    numbers = tuple(value) if isinstance(value, Iterable) else (value,)
+    usable = all(is_finite_number(v) and (v > 0 if positive else v >= 0) for v in numbers)
+    if len(numbers) not in (1, count) or not usable:
+        expected = f"one finite number {'>' if positive else '≥'} 0"
+        each = f", or {count}, one for each {of}" if count > 1 else ""
+        raise ModelError.report(where, expected=expected + each, received=repr(value))
+    return tuple(map(float, numbers)) * (count // len(numbers))
+
+
 def require_no_channel(model: str, given: Mapping[str, bool]) -> None:
     """Refuse the fields that belong to a channel, where there is none; `given`: whether each is set."""
     for field, is_set in given.items():

@@ -23,6 +23,7 @@ from ndob_fmu.model.affine_split import AffineSplit
 from ndob_fmu.model.checks import (
     by_name,
     for_each,
+    require_bounds,
     require_distinct_names,
     require_finite,
     require_identifier,
@@ -35,6 +36,7 @@ from ndob_fmu.model.checks import (
     require_ranges,
     require_text,
 )
+from ndob_fmu.model.defaults import require_defaults
 from ndob_fmu.model.expressions import Expressions, Function, Nonlinearity, same_matrix
 from ndob_fmu.model.reading import MATRIX_FORM, read_dynamics, read_matrices, require_one_form
 from ndob_fmu.model.vector_field import VectorField
@@ -233,7 +235,7 @@ class Model:
         )
         for mapping in ("units", "descriptions"):
             require_known(f"{self.name}.{mapping}", getattr(self, mapping), known)
-        for name, text in {"description": self.description, **self.descriptions}.items():
+        for name, text in {"description": self.description, **self.descriptions, **self.units}.items():
             require_text(f"{self.name}, text of {name}", text)
         for name, value in self.parameters.items():
             self._require_finite_parameter(name, value)
@@ -284,8 +286,10 @@ class Model:
             self._set(vector, self._numbers(vector, getattr(self, vector), (0.0,) * n))
         differences = tuple(abs(a - b) or 1.0 for a, b in zip(self.x0 or (), self.xhat0 or (), strict=True))
         self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, differences, positive=True))
-        bound = for_each(q, self.disturbance_bound)
-        self._set("disturbance_bound", self._numbers("disturbance_bound", bound, (1.0,) * q, positive=True))
+        self._set(
+            "disturbance_bound",
+            require_bounds(f"{self.name}.disturbance_bound", self.disturbance_bound, q, positive=True),
+        )
         nominal = for_each(q, self.disturbance_nominal)
         self._set("disturbance_nominal", self._numbers("disturbance_nominal", nominal, (0.0,) * q))
         for label in SAID_BY_NAME:
@@ -293,10 +297,13 @@ class Model:
             self._set(label, MappingProxyType(dict(value)) if isinstance(value, Mapping) else value)
             self.told(label)
         if k:
-            bound = for_each(k, self.channel_bound)
-            self._set("channel_bound", self._numbers("channel_bound", bound, (1.0,) * k, positive=True))
+            bound = 1.0 if self.channel_bound is None else self.channel_bound
+            self._set(
+                "channel_bound", require_bounds(f"{self.name}.channel_bound", bound, k, of="entry of n", positive=True)
+            )
         if self.lipschitz is not None:
             require_not_negative(f"{self.name}.lipschitz", self.lipschitz)
+        require_defaults(self.name, q, self.observer, self.disturbance, self.experiment)
 
     def _numbers(
         self, label: str, value: Any, default: tuple[float, ...], *, positive: bool = False

@@ -81,7 +81,7 @@ def test_several_disturbances_have_their_own_bounds_rates_and_predictions():
     car = MODELS["car_in_crosswind"]
     found = design(car, step_size=2e-3, disturbance_bound=[2.0, 1e-2], disturbance_rate=[20.0, 0.1])
     assert found.predicted_bias.shape == found.error_bar.shape == found.certificate.at_sample.shape == (2,)
-    with pytest.raises(UsageError, match="one for each disturbance"):
+    with pytest.raises(ModelError, match="one for each disturbance"):
         design(car, step_size=2e-3, disturbance_rate=[1.0, 2.0, 3.0])
 
 
@@ -90,8 +90,9 @@ def test_several_disturbances_have_their_own_bounds_rates_and_predictions():
     [
         ({"step_size": 0.0}, UsageError, "step size: expected a finite time > 0 s"),
         ({"step_size": float("nan")}, UsageError, "step size"),
+        ({"step_size": 1e300}, UsageError, "step size: expected at most .* s for FlexibleJoint, received 1e.300 s"),
         ({"step_size": 1e-3, "disturbance_order": 4}, DesignError, "disturbance_order: expected 0, 1, 2 or 3"),
-        ({"step_size": 1e-3, "noise_std": -1.0}, DesignError, "noise_std"),
+        ({"step_size": 1e-3, "noise_std": -1.0}, ModelError, "noise_std, motor_angle: expected a finite number ≥ 0"),
         ({"step_size": 1e-3, "noise_std": {"link_angel": 1.0}}, ModelError, "noise_std: .*did you mean 'link_angle'"),
         (
             {"step_size": 1e-3, "noise_std": [1.0, 2.0, 3.0]},
@@ -102,8 +103,17 @@ def test_several_disturbances_have_their_own_bounds_rates_and_predictions():
         ({"disturbance_order": 2}, UsageError, "disturbance_order: expected a step size"),
         ({"disturbance_bound": 2.0}, UsageError, "disturbance_bound: expected a step size"),
         ({"disturbance_rate": 0.0}, UsageError, r"disturbance_rate: .*received 0.0 and no step size.*--step-size"),
-        ({"step_size": 1e-3, "disturbance_bound": 0.0}, DesignError, "disturbance_bound"),
-        ({"step_size": 1e-3, "disturbance_rate": float("inf")}, DesignError, "disturbance_rate"),
+        (
+            {"step_size": 1e-3, "disturbance_bound": 0.0},
+            ModelError,
+            "disturbance_bound: expected one finite number > 0",
+        ),
+        ({"step_size": 1e-3, "disturbance_bound": [1.0, 2.0]}, ModelError, "disturbance_bound: expected one finite"),
+        (
+            {"step_size": 1e-3, "disturbance_rate": float("inf")},
+            ModelError,
+            "disturbance_rate: expected one finite number ≥ 0",
+        ),
     ],
 )
 def test_values_outside_their_range_end_in_one_line(arguments, error, message):

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.zeros import balance
@@ -32,6 +33,19 @@ def tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPa
         if found is not None and np.all(np.any(found.G_d, axis=0)) and np.any(found.C):
             return found
     return first
+
+
+def require_tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPart:
+    """Return `tangent`. Raises DesignError where the plant has no slopes at x̂₀ (n,)."""
+    found = tangent(equations, parameters, x_hat)
+    if found is None:
+        raise DesignError.report(
+            f"{equations.name}, linearised at its start values",
+            expected="finite slopes of the derivatives and outputs",
+            received="some that cannot be evaluated",
+            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
+        )
+    return found
 
 
 def _others(equations: Equations, x_hat: Vector) -> list[tuple[list[float], list[float]]]:

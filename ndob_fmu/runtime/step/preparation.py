@@ -12,7 +12,7 @@ from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented, augment
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
-from ndob_fmu.runtime.design.operating_point import middle_input, tangent
+from ndob_fmu.runtime.design.operating_point import middle_input, require_tangent, tangent
 from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.design.step_designs import StepDesigns
 from ndob_fmu.runtime.design.tuning import Knowledge
@@ -136,8 +136,8 @@ def linearised(equations: Equations, parameters: Vector, x_hat: Vector, order: i
 
     Raises DesignError outside the paper's form for r = 0, and where the plant cannot be linearised.
     """
-    found = tangent(equations, parameters, x_hat)
     if equations.matrices is not None:
+        found = tangent(equations, parameters, x_hat)
         return equations.linear_part(parameters) if found is None else found
     if order == 0:
         raise DesignError.report(
@@ -146,14 +146,7 @@ def linearised(equations: Equations, parameters: Vector, x_hat: Vector, order: i
             received="0",
             likely=f"r = 0 is the paper's design, whose form {equations.name} does not have",
         )
-    if found is None:
-        raise DesignError.report(
-            f"{equations.name} at the estimate to start from",
-            expected="finite slopes of the derivatives and outputs",
-            received="slopes that cannot be evaluated",
-            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
-        )
-    return found
+    return require_tangent(equations, parameters, x_hat)
 
 
 def _output(equations: Equations, parameters: Vector, x_hat: Vector, C: Array) -> Array:
