@@ -45,7 +45,7 @@ from ndob_fmu.errors import ModelError
 # What the text of `print_function` uses, besides math.h: Python's rules of when a number has no value.
 RUNTIME = """\
 /* Why a generated function has no result; 0 where it has one. */
-enum { STOPPED = 1, DIVISION_BY_ZERO, OUTSIDE_DOMAIN, OUTSIDE_RANGE };
+enum { STOPPED = 1, DIVISION_BY_ZERO, OUTSIDE_DOMAIN, OUTSIDE_RANGE, POWER_OUTSIDE_RANGE };
 
 static inline double divided(double a, double b, int *fault) {
     if (b == 0.0 && !*fault) *fault = DIVISION_BY_ZERO;
@@ -54,23 +54,27 @@ static inline double divided(double a, double b, int *fault) {
 
 /* A function of one argument, of which the value is known; `infinite` is the fault where it has none that is finite. */
 static inline double of_one(double value, double argument, int infinite, int *fault) {
-    if (is_finite(value) || *fault) return value;
-    if (is_nan(value) ? !is_nan(argument) : is_finite(argument)) *fault = is_nan(value) ? OUTSIDE_DOMAIN : infinite;
+    if (finite(value) || *fault) return value;
+    if (not_a_number(value)) *fault = not_a_number(argument) ? 0 : OUTSIDE_DOMAIN;
+    else if (finite(argument)) *fault = infinite;
     return value;
 }
 
 /* Python rounds to an integer of any length, which is finite. */
 static inline double rounded(double value, int *fault) {
-    if (!is_finite(value) && !*fault) *fault = is_nan(value) ? OUTSIDE_DOMAIN : OUTSIDE_RANGE;
+    if (!finite(value) && !*fault) *fault = not_a_number(value) ? OUTSIDE_DOMAIN : OUTSIDE_RANGE;
     return value;
 }
 
-static inline double power(double base, double exponent, int *fault) {
-    double value = pow(base, exponent);
-    if (is_finite(value) || *fault) return value;
+/* Compilers write pow(x, 2.0) as x * x, which is another number now and then: they must not know that it is pow. */
+static double (*const volatile c_pow)(double, double) = pow;
+
+static inline double raised(double base, double exponent, int *fault) {
+    double value = c_pow(base, exponent);
+    if (finite(value) || *fault) return value;
     if (base == 0.0 && exponent < 0.0) *fault = DIVISION_BY_ZERO;
-    else if (is_nan(value) && !is_nan(base) && !is_nan(exponent)) *fault = OUTSIDE_DOMAIN;
-    else if (!is_nan(value) && is_finite(base) && is_finite(exponent)) *fault = OUTSIDE_RANGE;
+    else if (not_a_number(value) && !not_a_number(base) && !not_a_number(exponent)) *fault = OUTSIDE_DOMAIN;
+    else if (!not_a_number(value) && finite(base) && finite(exponent)) *fault = POWER_OUTSIDE_RANGE;
     return value;
 }
 
@@ -178,7 +182,7 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
         if abs(exponent) == sympy.Rational(1, 2):
             root = self._of_one("sqrt", power.base)
             return root if exponent > 0 else f"divided(1.0, {root}, &_fault)"
-        return f"power({base}, {self._print(exponent)}, &_fault)"
+        return f"raised({base}, {self._print(exponent)}, &_fault)"
 
     def _of_one(self, function: str, argument: sympy.Expr) -> str:
         return f"{function}_of({self._print(argument)}, &_fault)"
@@ -368,7 +372,7 @@ def _condition(condition: Condition) -> str:
         case Compare(left, relation, right):
             return f"{_expression(left)} {relation} {_expression(right)}"
         case SumIsFinite(values):
-            return f"is_finite({' + '.join(map(_expression, values))})"
+            return f"finite({' + '.join(map(_expression, values))})"
         case AnyNonzero(values):
             return " || ".join(f"{_expression(value)} != 0.0" for value in values) or "0"
         case All(conditions):

@@ -14,7 +14,6 @@ from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.icon import draw_icon, model_icon
 from ndob_fmu.fmu.manual import Part, manual
 from ndob_fmu.interface.model_variables import observer_variables, plant_variables
-from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 
 
@@ -25,19 +24,19 @@ def build(model: Model, out: str | Path = "build/fmus") -> tuple[Path, Path]:
     the folder cannot be written. A file that exists is replaced only by a complete new one.
     """
     require_own_part(model)
-    folder = Path(out)
-    equations, text = compile_model(model), emit_python(model)
-    return (
-        _build(model, "Plant", plant_variables(equations), text, folder),
-        _build(model, "Observer", observer_variables(equations), text, folder),
-    )
+    return build_part(model, "Plant", out), build_part(model, "Observer", out)
 
 
-def _build(model: Model, part: Part, variables: tuple[Variable, ...], equations_text: str, folder: Path) -> Path:
-    name = f"{model.name}{part}"
+def build_part(model: Model, part: Part, out: str | Path) -> Path:
+    """Write one of the two FMUs into the folder `out`, unchecked, and return its path.
+
+    Raises UsageError where the folder cannot be written.
+    """
+    name, equations = f"{model.name}{part}", compile_model(model)
+    variables = plant_variables(equations) if part == "Plant" else observer_variables(equations)
     return package(
-        folder / f"{name}.fmu",
+        Path(out, f"{name}.fmu"),
         FmuDescription(name, model.description, variables, model.experiment),
-        bundle(name, f"{part.lower()}_slave", f"{part}Slave", equations_text, ("EQUATIONS",)),
+        bundle(name, f"{part.lower()}_slave", f"{part}Slave", emit_python(model), ("EQUATIONS",)),
         documentation_files(manual(model, part, variables), draw_icon(model_icon(model, part))),
     )

@@ -13,8 +13,8 @@
 #include <stdint.h>
 
 /* The macros of math.h are for any type, which compilers warn of. */
-static bool is_finite(double number) { return fabs(number) <= DBL_MAX; }
-static bool is_nan(double number) { return !(fabs(number) <= HUGE_VAL); }
+static bool finite(double number) { return fabs(number) <= DBL_MAX; }
+static bool not_a_number(double number) { return !(fabs(number) <= HUGE_VAL); }
 
 /* As FMI numbers them, in both versions. */
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
@@ -65,5 +65,8 @@ static const Fmu fmu;
 /* Say what was expected and received, in one line of at most 300 characters; `likely` may be empty. */
 static void say(Instance *self, Status status, const char *where, const char *expected, const char *received,
          const char *likely);
+
+/* Say a message as it stands. */
+static void tell(Instance *self, Status status, const char *message);
 
 #endif

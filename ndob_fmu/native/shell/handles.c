@@ -74,7 +74,7 @@ void *handle_enter(Table table, const void *handle) {
         if (!handle || load(&slots[table][i].handle) != (uintptr_t)handle) return NULL;
         if (claim(&slots[table][i].busy)) break;
         /* Two instances may use one state at once; no host may call one instance twice at once. */
-        if (table == INSTANCES) return NULL;
+        if (table == INSTANCE_HANDLES) return NULL;
     } while (true);
     /* Since the look the object may have been freed, and another may have taken its slot. */
     if (load(&slots[table][i].handle) == (uintptr_t)handle) return slots[table][i].object;

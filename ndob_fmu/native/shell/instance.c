@@ -56,14 +56,14 @@ Instance *instance_in(void *block, const char *name, Log log) {
     self->core = begin + at.core;
     self->log.name = strcpy(begin + at.name, name);
     start_afresh(self);
-    self->handle = handle_new(INSTANCES, self);
+    self->handle = handle_new(INSTANCE_HANDLES, self);
     if (!self->handle) say(self, ERROR, "instance", "fewer than 4096 instances of this FMU", "one more", "");
     return self->handle ? self : NULL;
 }
 
 void instance_free(Instance *self) {
     states_free(self);
-    handle_free(INSTANCES, self->handle);
+    handle_free(INSTANCE_HANDLES, self->handle);
 }
 
 void reset(Instance *self) { start_afresh(self); }
@@ -98,12 +98,12 @@ static void refuse(Instance *self, const char *function, unsigned modes) {
 }
 
 Instance *enter(void *handle, const char *function, unsigned modes, Environment *host) {
-    Instance *self = handle_enter(INSTANCES, handle);
+    Instance *self = handle_enter(INSTANCE_HANDLES, handle);
     if (!self) return NULL; /* freed or invalid: there is no log to write to */
     self->log.worst = OK;
     if (!(self->progress.mode & modes)) {
         refuse(self, function, modes);
-        handle_leave(INSTANCES, handle);
+        handle_leave(INSTANCE_HANDLES, handle);
         return NULL;
     }
     *host = environment_enter();
@@ -113,7 +113,7 @@ Instance *enter(void *handle, const char *function, unsigned modes, Environment 
 Status leave(Instance *self, Status status, Environment host) {
     if (self->log.worst > status) status = self->log.worst;
     environment_leave(host);
-    handle_leave(INSTANCES, self->handle);
+    handle_leave(INSTANCE_HANDLES, self->handle);
     return status;
 }
 
@@ -130,7 +130,7 @@ static void show_outputs(Instance *self) {
 
 bool set_up(Instance *self, const char *function, double start, bool has_stop, double stop) {
     if (!has_stop) stop = HUGE_VAL;
-    if (!is_finite(start) || !(stop >= start)) {
+    if (!finite(start) || !(stop >= start)) {
         char received[3 * NUMBER_SIZE] = "", number[NUMBER_SIZE];
         short_number_text(start, number);
         append(received, sizeof received, number);
@@ -145,7 +145,7 @@ bool set_up(Instance *self, const char *function, double start, bool has_stop, d
         return false;
     }
     /* There are hosts that say "infinite" for "not defined". */
-    self->progress.has_stop = has_stop && is_finite(stop);
+    self->progress.has_stop = has_stop && finite(stop);
     Clock clock = {start, self->progress.has_stop ? stop : 0.0, start, 0.0};
     self->progress.clock = clock;
     self->progress.last_time = start;
@@ -215,7 +215,7 @@ bool exit_initialization(Instance *self) {
 
 static double ulp(double number) {
     double size = fabs(number);
-    return is_finite(size) ? nextafter(size, HUGE_VAL) - size : size;
+    return finite(size) ? nextafter(size, HUGE_VAL) - size : size;
 }
 
 static double tolerance(double step_size, double time) { return fmax(TIME_TOLERANCE * step_size, 4.0 * ulp(time)); }
@@ -225,7 +225,7 @@ static void say_time(Instance *self, Status status, const char *where, const cha
     char texts[2][160] = {"", ""}, number[NUMBER_SIZE];
     void (*written)(double, char[NUMBER_SIZE]) = is_short ? short_number_text : number_text;
     append(texts[0], sizeof texts[0], before);
-    if (!is_nan(expected)) {
+    if (!not_a_number(expected)) {
         written(expected, number);
         append(texts[0], sizeof texts[0], number);
     }

@@ -60,6 +60,8 @@ void say(Instance *self, Status status, const char *where, const char *expected,
     log_message(&self->log, status, line);
 }
 
+void tell(Instance *self, Status status, const char *message) { log_message(&self->log, status, message); }
+
 bool set_logging(Instance *self, const char *function, bool on, size_t count, const char *const names[]) {
     if (count && !names) {
         say_error(self, function, "log categories", "NULL");

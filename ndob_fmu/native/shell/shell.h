@@ -42,7 +42,7 @@ static bool set_logging(Instance *self, const char *function, bool on, size_t co
 
 #define SLOT_BITS 12
 #define SLOTS ((size_t)1 << SLOT_BITS)
-typedef enum { INSTANCES, STATES } Table;
+typedef enum { INSTANCE_HANDLES, STATE_HANDLES } Table;
 static void *handle_new(Table table, void *object); /* NULL when all are taken */
 /* The object of a handle, which is busy until handle_leave; NULL if the handle is invalid or the object busy. */
 static void *handle_enter(Table table, const void *handle);

@@ -81,7 +81,7 @@ static bool adopt(Instance *self, Saved *saved, bool check) {
 
 /* Return the state behind a handle, in use until it is left; NULL, with a message, if the handle is invalid. */
 static Saved *taken(Instance *self, const char *function, void *handle) {
-    Saved *saved = handle_enter(STATES, handle);
+    Saved *saved = handle_enter(STATE_HANDLES, handle);
     if (!saved)
         say_error(self, function, "an FMU state that was got from this FMU and not freed",
                   handle ? "something else" : "NULL");
@@ -95,14 +95,14 @@ static bool given(Instance *self, const char *function, const void *place) {
 
 /* Give the host a handle, or overwrite the state that `handle` holds already. */
 static bool keep(Instance *self, const char *function, Saved *saved, void **handle) {
-    Saved *before = *handle ? handle_enter(STATES, *handle) : NULL;
+    Saved *before = *handle ? handle_enter(STATE_HANDLES, *handle) : NULL;
     if (before) {
         memcpy(before, saved, sizeof *saved + contents_size());
-        handle_leave(STATES, *handle);
+        handle_leave(STATE_HANDLES, *handle);
         free(saved);
         return true;
     }
-    *handle = handle_new(STATES, saved);
+    *handle = handle_new(STATE_HANDLES, saved);
     if (*handle) return true;
     free(saved);
     say_error(self, function, "fewer than 4096 FMU states", "one more");
@@ -120,7 +120,7 @@ bool state_get(Instance *self, const char *function, void **handle) {
 bool state_set(Instance *self, const char *function, void *handle) {
     Saved *saved = taken(self, function, handle);
     bool done = saved && adopt(self, saved, false);
-    if (saved) handle_leave(STATES, handle);
+    if (saved) handle_leave(STATE_HANDLES, handle);
     return done;
 }
 
@@ -128,7 +128,7 @@ bool state_free(Instance *self, const char *function, void **handle) {
     if (!handle || !*handle) return true; /* FMI: the call is ignored */
     Saved *saved = taken(self, function, *handle);
     if (!saved) return false;
-    handle_free(STATES, *handle);
+    handle_free(STATE_HANDLES, *handle);
     free(saved);
     *handle = NULL;
     return true;
@@ -136,14 +136,14 @@ bool state_free(Instance *self, const char *function, void **handle) {
 
 void states_free(Instance *self) {
     for (size_t place = 0; place < SLOTS; place++) {
-        const void *handle = handle_at(STATES, place);
-        Saved *saved = handle ? handle_enter(STATES, handle) : NULL;
+        const void *handle = handle_at(STATE_HANDLES, place);
+        Saved *saved = handle ? handle_enter(STATE_HANDLES, handle) : NULL;
         if (!saved) continue;
         if (saved->owner == self) {
-            handle_free(STATES, handle);
+            handle_free(STATE_HANDLES, handle);
             free(saved);
         } else {
-            handle_leave(STATES, handle);
+            handle_leave(STATE_HANDLES, handle);
         }
     }
 }
@@ -159,7 +159,7 @@ static uint64_t hashed(const void *data, size_t size) {
 bool state_size(Instance *self, const char *function, void *handle, size_t *size) {
     Saved *saved = given(self, function, size) ? taken(self, function, handle) : NULL;
     if (!saved) return false;
-    handle_leave(STATES, handle);
+    handle_leave(STATE_HANDLES, handle);
     *size = written_size();
     return true;
 }
@@ -177,7 +177,7 @@ bool state_write(Instance *self, const char *function, void *handle, unsigned ch
         memcpy(head.magic, MAGIC, sizeof MAGIC);
         memcpy(bytes, &head, sizeof head);
     }
-    handle_leave(STATES, handle);
+    handle_leave(STATE_HANDLES, handle);
     if (!fits) say_error(self, function, "room for as many bytes as the state has", "less");
     return fits;
 }
@@ -186,13 +186,13 @@ static bool is_flag(uint32_t value) { return value <= 1; }
 
 static bool times_fault(const Progress *progress) {
     const Clock *clock = &progress->clock;
-    if (!is_finite(clock->start) || !is_finite(clock->now) || !is_finite(clock->step_size)) return true;
-    if (!is_finite(progress->last_time) || is_nan(clock->stop)) return true;
+    if (!finite(clock->start) || !finite(clock->now) || !finite(clock->step_size)) return true;
+    if (!finite(progress->last_time) || not_a_number(clock->stop)) return true;
     double passed = clock->now - clock->start, size = fmax(fabs(clock->now), fabs(clock->start));
     double longest = (1.0 + 1e-3) * passed + 8.0 * (nextafter(size, HUGE_VAL) - size);
     bool late = progress->has_stop && !(clock->now <= clock->stop + 1e-3 * clock->step_size + 1e-12 * size);
     bool early = progress->has_stop && !(clock->stop >= clock->start);
-    return late || early || !(passed >= 0.0) || !is_finite(passed) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
+    return late || early || !(passed >= 0.0) || !finite(passed) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
 }
 
 static bool mode_fault(const Progress *progress) {

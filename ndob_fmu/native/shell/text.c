@@ -18,8 +18,8 @@ void short_number_text(double number, char text[NUMBER_SIZE]) {
 }
 
 void number_text(double number, char text[NUMBER_SIZE]) {
-    if (!is_finite(number)) {
-        strcpy(text, is_nan(number) ? "nan" : number > 0.0 ? "inf" : "-inf");
+    if (!finite(number)) {
+        strcpy(text, not_a_number(number) ? "nan" : number > 0.0 ? "inf" : "-inf");
         return;
     }
     int digits = 1;
