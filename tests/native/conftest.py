@@ -6,7 +6,7 @@ import pytest
 
 from ndob_fmu.native.translate.print_c import translate
 from tests.helpers.translated import Library, Recorder
-from tests.native.runs import run_all
+from tests.native.runs import RUNS
 from tests.native.scope import MODULES
 
 
@@ -23,6 +23,7 @@ def library(translation, tmp_path_factory):
 @pytest.fixture(scope="session")
 def recorded(translation):
     recorder = Recorder(translation.definitions)
-    with recorder.running():
-        run_all()
+    for run in RUNS:
+        with recorder.running():
+            run()
     return recorder.calls

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import scipy.linalg
 
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.numerics.integrate import integrate
 from ndob_fmu.runtime.numerics.riccati import solve_riccati
@@ -17,22 +20,25 @@ from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
 
 JOINT = MODELS["flexible_joint"]
+# A sensor that follows the rate at once, so that the explicit steps are too many.
+STIFF = Model(
+    name="Stiff",
+    states=["rate", "seen"],
+    inputs=["torque"],
+    outputs=["seen"],
+    disturbances=["load"],
+    dynamics=lambda x, u, d, p: [u.torque + d.load - x.rate**3, p.pace * (x.rate - x.seen)],
+    parameters={"pace": 1e6},
+    noise_std=1e-4,
+    disturbance_bound=1.0,
+    x0=[1.0, 1.0],
+    xhat0=[1.0, 1.0],
+)
 _H = 1e-3
 
 
-def run_all() -> None:
-    """Run all of them once."""
-    for order in (0, 1, 2, 3):
-        _sampled(JOINT, order=order, noise_std=[1e-5, 2e-5])
-    _sampled(JOINT, order=2, noise_std=[1e-5, 2e-5], lag=0.02, delay=[0.0, 3e-3], bias_std=[1e-3, 0.0])
-    _sampled(JOINT, order=1, noise_std=[1e-5, 2e-5], parameter_std=[0.1] * len(JOINT.parameters))
-    _sampled(CART, order=1)
-    _paper()
-    _numerics()
-
-
-def _sampled(model, **settings) -> None:
-    """Step an observer over samples of a plant at a constant state, with a jump, an outlier and gaps."""
+def _sampled(model, *, steps=110, **settings) -> None:
+    """Step an observer over samples of a plant, with jumps, outliers and a gap, and at last with another motion."""
     random = np.random.default_rng(1)
     eq, p = compile_model(model), model.parameter_values()
     observer = sampled_observer(eq, p, x_hat=eq.xhat0, **settings)
@@ -40,18 +46,21 @@ def _sampled(model, **settings) -> None:
     state = observer.init(eq.xhat0)
     d = 0.3 * np.array(eq.disturbance_bound)
     h = _H
-    for k in range(80):
-        if k == 50:
+    for k in range(steps):
+        if k in (50, 62):
             d = -d
         y = np.array(eq.output(x, u, p)) + 1e-5 * random.standard_normal(len(eq.outputs))
-        if k in (30, 70):
+        if k in (2, 30, 78):
             y[0] += 1.0
+        if k > 85:
+            y += 5.0 + np.arange(len(y))
         if k == 40:
             y[0] = np.nan
         observer.estimate(state, tuple(y))
         state, _ = observer.step(state, u, y.tolist(), h)
         observer.possible(state, (k + 1) * h)
-        x = (np.array(x) + h * np.array(eq.derivatives(x, u, d.tolist(), p))).tolist()
+        if model is not STIFF:
+            x = (np.array(x) + h * np.array(eq.derivatives(x, u, d.tolist(), p))).tolist()
 
 
 def _paper() -> None:
@@ -95,3 +104,15 @@ def _numerics() -> None:
             solve_riccati(full - 3.0 * np.eye(n), C, G, pi=pi, alpha=0.5)
         plant = balance(1e3 * full, 1e-3 * G, C)
         pencil_zeros(plant.A, plant.G, plant.C)
+
+
+RUNS = [
+    *(partial(_sampled, JOINT, order=order, noise_std=[1e-5, 2e-5]) for order in (0, 1, 2, 3)),
+    partial(_sampled, JOINT, order=2, lag=0.02, delay=[0.0, 3e-3], bias_std=[1e-3, 0.0], noise_std=[1e-5, 2e-5]),
+    partial(_sampled, JOINT, order=1, parameter_std=[0.1] * len(JOINT.parameters), noise_std=[1e-5, 2e-5]),
+    partial(_sampled, CART, order=1),
+    partial(_sampled, STIFF, order=1, steps=10),
+    partial(_sampled, JOINT, order=2, steps=40, disturbance_rate=[0.0], noise_std=[1e-5, 2e-5]),
+    _paper,
+    _numerics,
+]

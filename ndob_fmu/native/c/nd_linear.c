@@ -157,13 +157,20 @@ static void rotate(double *x, double *y, int n, double c, double s) {
 static bool orthogonalise(nd X, nd V) {
     int k = X.n[0], m = X.n[1];
     double least = DBL_EPSILON * m; /* what rounding leaves of the product of two rows */
+    double nothing = 0.0;           /* the square of a row that is zero but for rounding */
+    for (int i = 0; i < k; i++) {
+        double sum = 0.0;
+        for (int l = 0; l < m; l++) sum += X.p[i * m + l] * X.p[i * m + l];
+        if (sum * 1e-60 > nothing) nothing = sum * 1e-60;
+    }
     for (int sweep = 0; sweep < ND_SWEEPS; sweep++) {
         bool turned = false;
         for (int i = 0; i < k; i++)
             for (int j = i + 1; j < k; j++) {
                 double *x = X.p + i * m, *y = X.p + j * m, alpha = 0.0, beta = 0.0, gamma = 0.0, c, s;
                 for (int l = 0; l < m; l++) alpha += x[l] * x[l], beta += y[l] * y[l], gamma += x[l] * y[l];
-                if (!(fabs(gamma) > least * sqrt(alpha) * sqrt(beta)) || gamma == 0.0) continue;
+                if (alpha <= nothing || beta <= nothing) continue;
+                if (!(fabs(gamma) > least * sqrt(alpha) * sqrt(beta))) continue;
                 rotation(alpha, beta, gamma, &c, &s);
                 rotate(x, y, m, c, s);
                 rotate(V.p + i * k, V.p + j * k, k, c, s);

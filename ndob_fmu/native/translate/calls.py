@@ -512,6 +512,9 @@ class Calls(Expressions):
     # -- Python's own functions
 
     def _of_float(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
+        inner = node.args[0]
+        if isinstance(inner, ast.Call) and ast.unparse(inner.func) == "round" and len(inner.args) == 1:
+            return Value(f"nearbyint({self.number(inner.args[0])})", FLOAT)  # may be no `int`
         return Value(self.number(node.args[0]), FLOAT)
 
     def _of_int(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:

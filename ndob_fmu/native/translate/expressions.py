@@ -54,11 +54,16 @@ _COMPARISONS |= {ast.Eq: ("==", "EQ"), ast.NotEq: ("!=", "NE")}
 
 @dataclass(frozen=True)
 class Value:
-    """An expression in C; `fresh`: whether its array belongs to this function alone."""
+    """An expression in C.
+
+    fresh: whether its array belongs to this function alone
+    parts: of an item of several iterations at once, which only a tuple of names takes apart
+    """
 
     text: str
     kind: Kind
     fresh: bool = False
+    parts: tuple[Value, ...] = ()
 
 
 def c_name(name: str) -> str:
@@ -176,6 +181,8 @@ class Expressions:
             return Value(self.as_number(value, kind, node), kind)
         if isinstance(kind, Array):
             return Value(self.as_array(value, node), kind, fresh=is_number(value.kind))
+        if isinstance(kind, Listing) and isinstance(value.kind, Listing) and c_type(kind) == c_type(value.kind):
+            return Value(value.text, kind, value.fresh)
         if isinstance(kind, Pack) and isinstance(value.kind, Pack) and len(kind.elements) == len(value.kind.elements):
             value = self.held(value)
             items = [Value(f"{value.text}.v{i}", own) for i, own in enumerate(elements_of(value.kind))]

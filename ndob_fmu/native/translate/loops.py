@@ -119,45 +119,32 @@ class Loops(Calls):
 
     def _together(self, values: list[Value]) -> Value:
         """Return several values as one item that only a tuple of targets takes apart."""
-        return Value("\0".join(value.text for value in values), Pack(tuple(value.kind for value in values)))
+        return Value("", Pack(tuple(value.kind for value in values)), parts=tuple(values))
 
     def targets(self, target: ast.expr, value: Value) -> list[tuple[ast.expr, Value]]:
         """Return the names that an item is taken apart into, with their values."""
-        if isinstance(target, ast.Tuple):
-            if "\0" in value.text and isinstance(value.kind, Pack):
-                inner = [Value(text, kind) for text, kind in zip(self._texts(value), value.kind.elements, strict=True)]
-            elif isinstance(value.kind, Pack):
-                value = self.held_structure(value)
-                inner = [Value(f"{value.text}.v{i}", kind) for i, kind in enumerate(elements_of(value.kind))]
-            elif is_nd(value.kind):
-                value = self.held(value)
-                inner = [Value(f"nd_row({value.text}, {i})", ARRAY) for i in range(len(target.elts))]
-            else:
-                raise self.no(target, "a tuple of names for a tuple", str(value.kind))
-            found = []
-            for one, own in zip(target.elts, inner, strict=True):
-                found += self.targets(one, own)
-            return found
-        return [(target, value)]
+        if not isinstance(target, ast.Tuple):
+            if value.parts:
+                assert isinstance(value.kind, Pack)
+                value = self.packed(list(value.parts), value.kind, target)
+            return [(target, value)]
+        if value.parts:
+            inner = list(value.parts)
+        elif isinstance(value.kind, Pack):
+            value = self.held_structure(value)
+            inner = [Value(f"{value.text}.v{i}", kind) for i, kind in enumerate(elements_of(value.kind))]
+        elif is_nd(value.kind):
+            value = self.held(value)
+            inner = [Value(f"nd_row({value.text}, {i})", ARRAY) for i in range(len(target.elts))]
+        else:
+            raise self.no(target, "a tuple of names for a tuple", str(value.kind))
+        found = []
+        for one, own in zip(target.elts, inner, strict=True):
+            found += self.targets(one, own)
+        return found
 
-    def _texts(self, value: Value) -> list[str]:
-        """Return the texts of an item made of several; an item inside keeps its own parts together."""
-        assert isinstance(value.kind, Pack)
-        texts, parts = [], value.text.split("\0")
-        for kind in value.kind.elements:
-            count = self._count(kind, len(parts), value.kind)
-            texts.append("\0".join(parts[:count]))
-            parts = parts[count:]
-        return texts
-
-    def _count(self, kind: Kind, left: int, whole: Pack) -> int:
-        if isinstance(kind, Pack) and left > len(whole.elements) - 1 and left != len(whole.elements):
-            return left - (len(whole.elements) - 1)
-        return 1
-
-    def around(self, target: ast.expr, node: ast.expr, body: Callable[[], None]) -> None:
+    def around(self, target: ast.expr, items: Items, body: Callable[[], None]) -> None:
         """Write a loop inside an expression, whose names are known inside only."""
-        items = self.items(node)
         i = self.temporary(INT)
         before = dict(self.variables), dict(self.local)
         self.line(f"for ({i} = 0; {i} < {items.count}; {i}++) {{")
@@ -193,13 +180,14 @@ class Loops(Calls):
         found: list[Kind] = []
 
         def look() -> None:
-            self.around(target, over, lambda: found.append(self.expression(element, own).kind))
+            self.around(target, self.items(over), lambda: found.append(self.expression(element, own).kind))
 
         self.set_aside(look)
-        kind = Listing(own if own is not None else _without_maybe(found[0]))
+        kind = Listing(own if own is not None else found[0])
         name, count = self.temporary(kind), self.temporary(INT)
         numbers = is_numbers(kind)
-        counted = self.items(over).count
+        items = self.items(over)
+        counted = items.count
         self.use(kind)
         if numbers:
             self.line(f"{name} = nd_new(arena, 1, (int[]){{{counted}}});")
@@ -215,7 +203,7 @@ class Loops(Calls):
             text = self.as_number(value, FLOAT, element) if numbers else self.coerced(value, kind.element, element).text
             self.line(f"{name}.p[{count}++] = {text};")
 
-        self.around(target, over, body)
+        self.around(target, items, body)
         self.line(f"{name}.n[0] = {count};" if numbers else f"{name}.n = {count};")
         return Value(name, kind, fresh=True)
 
@@ -226,7 +214,9 @@ class Loops(Calls):
             name_node = ast.copy_location(ast.Name("mapped_item", ast.Load()), node)
             target, over, conditions, element = name_node, node.args[0], [], name_node
         found: list[Kind] = []
-        self.set_aside(lambda: self.around(target, over, lambda: found.append(self.expression(element).kind)))
+        self.set_aside(
+            lambda: self.around(target, self.items(over), lambda: found.append(self.expression(element).kind))
+        )
         kind = BOOL if short in ("all", "any") else found[0] if short == "sum" else FLOAT if found[0] != INT else INT
         if short == "sum" and kind == BOOL:
             kind = INT
@@ -265,12 +255,8 @@ class Loops(Calls):
             self.line(f"if ({first} || {value.text} {'>' if short == 'max' else '<'} {name}) {name} = {value.text};")
             self.line(f"{first} = false;")
 
-        self.around(target, over, body)
+        self.around(target, self.items(over), body)
         return Value(name, kind)
-
-
-def _without_maybe(kind: Kind) -> Kind:
-    return kind
 
 
 __all__ = ["Items", "Loops"]

@@ -288,6 +288,7 @@ class Writer(Loops):
             raise self.no(node, "a name, an entry or a tuple of these on the left")
 
     def _take_apart(self, target: ast.Tuple, value: Value, node: ast.AST) -> None:
+        value = self.certain(value)
         if isinstance(value.kind, Unknown) and value.kind.text.startswith("shape "):
             array = value.kind.text.split()[1]
             for i, one in enumerate(target.elts):

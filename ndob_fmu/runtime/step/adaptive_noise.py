@@ -46,7 +46,7 @@ def common_step(step: float, multiples: float, change: float, *, repeats: bool) 
     rest = abs(remainder(change, step))
     if rest > _EQUAL * step:
         return rest, 0.0
-    times = round(change / step)
+    times = float(round(change / step))
     # A change of many steps tells the step to more digits, which the next rests need.
     return change / times, min(multiples + (repeats or multiples > 0.0 or times > 1), _SEEN)
 

@@ -82,7 +82,7 @@ def converged_step(
             residual_std=numbers(expected),
             K=numbers(K.ravel()),
         ),
-        M_H=None if stationary.M_H is None else tuple(map(tuple, stationary.M_H.tolist())),
+        M_H=None if stationary.M_H is None else tuple(tuple(row.tolist()) for row in stationary.M_H),
     )
 
 

@@ -23,27 +23,28 @@ def row_in_past(age: Array, tau: float, now: Array, which: int, count: int) -> A
     now (rows,): the row of the output at this sample
     which, count: the place of the sensor among `count` delayed ones
     """
-    rows = [now.copy() * 0.0 for _ in age]
     N = len(now) - len(age) * count
-    for slot, row in enumerate(rows):
-        row[N + slot * count + which] = 1.0
-    known = [(a, row) for a, row in zip(age.tolist(), rows, strict=True) if a >= 0.0] + [(0.0, now)]
+    slots = [slot for slot, a in enumerate(age.tolist()) if a >= 0.0]
+    ages = [*age[slots].tolist(), 0.0]
     older = -1
-    for i, (a, _) in enumerate(known):
+    for i, a in enumerate(ages):
         if a >= tau * (1.0 - 1e-9):
             older = i
     if older < 0:
         return None
-    last = len(known) - 1
+    last = len(ages) - 1
     first = min(max(older - 1, 0), max(last - 2, 0))
-    nodes = known[first : first + 3]
+    end = min(first + 3, last + 1)
     result = np.zeros(len(now))
-    for i, (a, row) in enumerate(nodes):
+    for i in range(first, end):
         weight = 1.0
-        for j, (b, _) in enumerate(nodes):
+        for j in range(first, end):
             if j != i:
-                weight *= (tau - b) / (a - b)
-        result += weight * row
+                weight *= (tau - ages[j]) / (ages[i] - ages[j])
+        if i == last:
+            result += weight * now
+        else:
+            result[N + slots[i] * count + which] += weight
     return result
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
@@ -140,18 +140,16 @@ class SampledObserverState:
 
 def is_possible(memory: FilterMemory) -> bool:
     """Return whether numbers in the form of a memory can be one."""
-    columns, jumps, lagged = memory.columns, memory.jumps, memory.lagged
-    arrays = (
-        columns.values,
-        memory.past,
-        memory.past_age,
-        jumps.sizes,
-        jumps.misfit,
-        lagged.age,
-        lagged.value,
-    )
+    jumps, lagged = memory.jumps, memory.lagged
     return bool(
-        all(np.all(np.isfinite(array)) for array in (*arrays, lagged.variance))
+        np.all(np.isfinite(memory.columns.values))
+        and np.all(np.isfinite(memory.past))
+        and np.all(np.isfinite(memory.past_age))
+        and np.all(np.isfinite(jumps.sizes))
+        and np.all(np.isfinite(jumps.misfit))
+        and np.all(np.isfinite(lagged.age))
+        and np.all(np.isfinite(lagged.value))
+        and np.all(np.isfinite(lagged.variance))
         and np.all(lagged.variance >= 0.0)
         and np.all(jumps.misfit >= 0.0)
         and not np.any(np.isnan(jumps.log_weight))
@@ -166,11 +164,7 @@ def is_possible(memory: FilterMemory) -> bool:
     )
 
 
-_UNKNOWN_AT_FIRST = ("resolution", "last_variance")
-
-
 def _is_possible_sensor(sensor: SensorMemory) -> bool:
-    numbers = (getattr(sensor, field.name) for field in fields(sensor) if field.name not in _UNKNOWN_AT_FIRST)
     not_negative = (
         sensor.noise_ratio,
         sensor.counted,
@@ -180,8 +174,10 @@ def _is_possible_sensor(sensor: SensorMemory) -> bool:
         sensor.waited,
         sensor.interval,
     )
+    others = (sensor.skipped, sensor.drift, sensor.mean, sensor.last)
     return (
-        all(map(isfinite, numbers))
+        all(map(isfinite, not_negative))
+        and all(map(isfinite, others))
         and min(not_negative) >= 0.0
         and sensor.resolution > 0.0
         and sensor.last_variance > 0.0

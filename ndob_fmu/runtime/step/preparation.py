@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ndob_fmu.runtime.design.undriven_noise import undriven_noise
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.step.layout import Layout
-from ndob_fmu.runtime.step.settings import ObserverSettings, check_settings
+from ndob_fmu.runtime.step.settings import ObserverSettings
 
 
 @dataclass(frozen=True)
@@ -62,15 +61,11 @@ class PreparedObserver:
         return self.designs.at(H).stationary
 
 
-P = TypeVar("P", bound=PreparedObserver)
+def prepared(equations: Equations, parameters: Vector, settings: ObserverSettings, x_hat: Vector) -> PreparedObserver:
+    """Return an observer with settings that `check_settings` has accepted, for an estimate x̂₀ (n,) to start from.
 
-
-def prepared(kind: type[P], equations: Equations, parameters: Vector, settings: ObserverSettings, x_hat: Vector) -> P:
-    """Return an observer of a kind, for an estimate x̂₀ (n,) to start from.
-
-    Raises DesignError for settings outside their ranges, AssumptionError for a zero right of 0, or of −α for r = 0.
+    Raises AssumptionError for a zero right of 0, or of −α for r = 0.
     """
-    check_settings(settings)
     order = settings.order
     bound, rate, std, noise = (
         np.array(v, dtype=float)
@@ -90,7 +85,7 @@ def prepared(kind: type[P], equations: Equations, parameters: Vector, settings: 
     known = Knowledge(
         R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate, lipschitz=equations.lipschitz
     )
-    return kind(
+    return PreparedObserver(
         equations=equations,
         parameters=parameters,
         settings=settings,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,9 @@ from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.intensity_law import IntensityLaw
 from ndob_fmu.runtime.design.start_up import start_up
 from ndob_fmu.runtime.design.stationary_design import Intensities
+from ndob_fmu.runtime.design.step_designs import StepDesign
 from ndob_fmu.runtime.design.tuning import bandwidth_of, squared_errors
+from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_sure
 from ndob_fmu.runtime.step.converged_step import frozen_memory, has_converged, is_quiet, least_squares
 from ndob_fmu.runtime.step.filter_model import FilterModel
@@ -122,9 +124,16 @@ def filter_model(observer: PreparedObserver, scale: float, jump_spacing: float) 
 
 
 def frozen(
-    observer: PreparedObserver, tuned: Tuned, after: SampledObserverState, measured: Measured, H: float
+    tuned: Tuned,
+    design_at: Callable[[float, float, Numbers], StepDesign],
+    after: SampledObserverState,
+    measured: Measured,
+    H: float,
 ) -> SampledObserverState:
-    """Return the state with a frozen gain, where that is as good from now on."""
+    """Return the state with a frozen gain, where that is as good from now on.
+
+    design_at: design_at(H, tuned_at, noise) returns the design for a step H (s), as `StepDesigns.at`
+    """
     memory, model = after.memory, tuned.model
     started = memory.age >= model.start_samples and memory.steady >= model.start_samples
     if not (tuned.freezes and started) or memory.lost:
@@ -134,7 +143,7 @@ def frozen(
     if not settled or measured.suspicious:
         return after
     try:
-        design = observer.designs.at(H, memory.tuned_at, noise)
+        design = design_at(H, memory.tuned_at, noise)
     except DesignError:
         return after
     if not (is_quiet(measured, least_squares(model, noise, design)) and has_converged(model, memory, design)):
