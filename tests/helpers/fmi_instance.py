@@ -73,7 +73,7 @@ class Instance:
         """Set inputs, step, and return the outputs."""
         for name, value in inputs.items():
             assert self.set(name, value) == OK
-        assert self.doStep(t, H) == OK
+        assert self.doStep(t, H) == OK, self.said
         return self.get()
 
     def state(self):

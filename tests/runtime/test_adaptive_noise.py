@@ -46,3 +46,7 @@ def test_a_sensor_that_repeats_samples_now_and_then_is_not_taken_for_a_rounded_o
 def test_samples_in_a_row_tell_as_much_of_a_rounding_error_as_one():
     once, often = (of_rounding(1.0, 4.0, rate) for rate in (0.0, 0.9))
     assert often / once == pytest.approx(10.0)
+
+
+def test_a_change_far_below_the_step_is_the_next_candidate():
+    assert common_step(1e-3, 4.0, 1e-12, repeats=False) == (1e-12, 0.0)

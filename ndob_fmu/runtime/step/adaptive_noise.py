@@ -43,10 +43,9 @@ def common_step(step: float, multiples: float, change: float, *, repeats: bool) 
         return step, multiples
     if not isfinite(step):
         return change, 0.0
-    rest = abs(remainder(change, step))
-    if rest > _EQUAL * step:
+    rest, times = abs(remainder(change, step)), float(round(change / step))
+    if rest > _EQUAL * step or times == 0.0:
         return rest, 0.0
-    times = float(round(change / step))
     # A change of many steps tells the step to more digits, which the next rests need.
     return change / times, min(multiples + (repeats or multiples > 0.0 or times > 1), _SEEN)
 
