@@ -81,7 +81,7 @@ def _visited(model: Model) -> Iterator[list[float]]:
     equations, signal = compile_model(model), model.disturbance
     source = Generator(KINDS[signal.kind], signal.amplitude, signal.frequency, signal.start_time)
     plant = Plant(equations, model.parameter_values(), [source] * len(model.disturbances))
-    u, farthest = middle_input(model.inputs, model.ranges), np.array(_farthest(model))
+    u, farthest = middle_input(equations.inputs, equations.ranges), np.array(_farthest(model))
     state, H = plant.init(equations.x0, 0.0), model.experiment.stop_time / _POINTS
     for k in range(1, _POINTS + 1):
         try:

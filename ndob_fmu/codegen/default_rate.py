@@ -14,8 +14,8 @@ import numpy as np
 from ndob_fmu.codegen.print_python import IMPORTS
 from ndob_fmu.model.checks import require_bounds
 from ndob_fmu.model.model import Model
-from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.operating_point import driven_modes, middle_input
+from ndob_fmu.runtime.numerics.zeros import ComplexArray
 
 _PERIODS = 10.0
 _FASTEST = 1e50  # 1/s: parameters that are out of proportion
@@ -51,16 +51,16 @@ def _pace(model: Model, texts: Texts) -> float:
     return float(f"{np.exp(np.mean(np.log(moving))):.3g}")  # its last digits depend on the processor
 
 
-def _modes(model: Model, texts: Texts) -> Array:
+def _modes(model: Model, texts: Texts) -> ComplexArray:
     """Return the modes (1/s) that the disturbances drive at the start; none where that cannot be evaluated."""
     namespace: dict[str, Any] = {}
     _ = texts["nonlinearity"]  # a function without a Python form is refused by its name, not by its derivative's
     exec(f"{IMPORTS}\n{texts['linearisation']}", namespace)
     n, q = len(model.states), len(model.disturbances)
-    u = middle_input(model.inputs, model.ranges)
+    u = middle_input(model.inputs, {name: (low, high) for name, (low, high) in model.ranges.items()})
     try:
         entries = namespace["linearisation"](model.xhat0, u, model.disturbance_nominal, model.parameter_values())
     except (ArithmeticError, ValueError, TypeError):
-        return np.zeros(0)
+        return np.zeros(0, dtype=complex)
     both = np.array(entries, dtype=float).reshape(-1, n + q)[:n]
-    return driven_modes(both[:, :n], both[:, n:]) if np.all(np.isfinite(both)) else np.zeros(0)
+    return driven_modes(both[:, :n], both[:, n:]) if np.all(np.isfinite(both)) else np.zeros(0, dtype=complex)

@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,6 +136,10 @@ class Library:
             if isinstance(kind, kinds.Listing):
                 made._fields_ = [("n", ctypes.c_int), ("p", ctypes.POINTER(self.type_of(kind.element)))]
                 return made
+            if isinstance(kind, kinds.Table):
+                pointer = ctypes.POINTER(self.type_of(kind.value))
+                made._fields_ = [("n", ctypes.c_int), ("names", ctypes.POINTER(ctypes.c_char_p)), ("p", pointer)]
+                return made
             made._fields_ = [(c_name(field), self.type_of(own)) for field, own in self._fields(kind)]
         return self._types[name]
 
@@ -174,6 +178,8 @@ class Library:
             return self._list(value, kind)
         if isinstance(kind, kinds.Function):
             return self._function(value, kind)
+        if isinstance(kind, kinds.Table):
+            return self._table(value, kind)
         made = self.type_of(kind)()
         if isinstance(kind, kinds.ComplexArray):
             value = (np.real(value), np.imag(value))
@@ -196,6 +202,16 @@ class Library:
         items = (element * max(len(value), 1))(*(self.to_c(item, kind.element) for item in value))
         self._alive.append(items)
         return self.type_of(kind)(len(value), ctypes.cast(items, ctypes.POINTER(element)))
+
+    def _table(self, value: Any, kind: kinds.Table) -> Any:
+        names = (ctypes.c_char_p * max(len(value), 1))(*(name.encode() for name in value))
+        self._alive.append(names)
+        made, element = self.type_of(kind)(), self.type_of(kind.value)
+        values = (element * max(len(value), 1))(*(self.to_c(item, kind.value) for item in value.values()))
+        self._alive.append(values)
+        made.n, made.p = len(value), ctypes.cast(values, ctypes.POINTER(element))
+        made.names = ctypes.cast(names, ctypes.POINTER(ctypes.c_char_p))
+        return made
 
     def _function(self, value: Any, kind: kinds.Function) -> Any:
         def call(arguments: Any, result: int) -> int:
@@ -236,7 +252,7 @@ class Library:
             return value
         if isinstance(kind, kinds.Listing):
             return [self.from_c(value.p[i], kind.element) for i in range(value.n)]
-        if isinstance(kind, kinds.Function):
+        if isinstance(kind, (kinds.Function, kinds.Table)):
             return None
         if isinstance(kind, kinds.ComplexArray):
             return self.from_c(value.v0, kinds.ARRAY) + 1j * self.from_c(value.v1, kinds.ARRAY)
@@ -310,6 +326,12 @@ def objects(program: Any, value: Any, kind: Any) -> Any:
         return made(**{name: objects(program, value[name], known.fields[name].kind) for name in value})
     if is_numbers(kind) and value is not None:
         return tuple(value.tolist())
+    if isinstance(kind, kinds.Maybe) and value is not None:
+        return objects(program, value, kind.value)
+    if isinstance(kind, kinds.Listing) and not is_nd(kind):
+        return [objects(program, one, kind.element) for one in value]
+    if isinstance(kind, kinds.Pack):
+        return tuple(objects(program, one, own) for one, own in zip(value, kind.elements, strict=True))
     return value
 
 
@@ -389,7 +411,7 @@ def difference(twin: Any, own: Any) -> float:
             (
                 difference(getattr(twin, name), value)
                 for name, value in own.items()
-                if not callable(getattr(twin, name))
+                if not callable(getattr(twin, name)) and not isinstance(getattr(twin, name), Mapping)
             ),
             default=0.0,
         )

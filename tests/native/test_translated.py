@@ -26,6 +26,14 @@ SAME = {
     "numerics.stiff._trial": lambda result: result[0],
     # Second differences of ẋ, beside ẋ H.
     "step.time_update.left_out": lambda result: 1e-4 + result,
+    "design.tuning.PredictedErrors.best_bandwidth": lambda result: result[0],
+    "design.schedule.gain_table": lambda result: [field(result, "L"), field(result, "dL")],
+    "design.schedule._gain_table": lambda result: [field(result, "L"), field(result, "dL")],
+    "design.gains.paper_gains": lambda result: [field(result, name) for name in ("L", "W", "M")],
+    "step.paper_observer.paper_observer": lambda result: field(field(field(result, "gains"), "table"), "L"),
+    # Eigenvalues have no order.
+    "design.operating_point.driven_modes": np.sort_complex,
+    "design.stationary_design.StationaryDesign.poles": np.sort_complex,
     # A column of rounding errors in a factor has any sign.
     "numerics.kalman.converged_factor": lambda result: result @ result.T,
     # What rounding leaves, beside 1.
@@ -53,6 +61,13 @@ LOOSE = dict.fromkeys(
         "design.stationary_design.StationaryDesign.bias_gain",
         "design.stationary_design.StationaryDesign.noise_std",
         "design.stationary_design.Whitened.settled",
+        "design.stationary_design._whitened",
+        "design.stationary_design.design_for",
+        "design.stationary_design.stationary_design",
+        "design.step_designs.StepDesigns.at",
+        "step.preparation.PreparedObserver.design",
+        "design.tuning.PredictedErrors._predicted",
+        "design.tuning.PredictedErrors.at",
         "design.tuning.predicted_error",
         "design.tuning.squared_errors",
         "numerics.kalman.stationary",
@@ -60,7 +75,7 @@ LOOSE = dict.fromkeys(
         # A fit that is weighed again twenty times; its result is rounded to powers of two.
         "numerics.units.nearest_to_one",
     ),
-    1e-8,
+    1e-7,
 ) | dict.fromkeys(
     (
         # Second differences of ẋ are a part of the covariance during the start.

@@ -202,10 +202,10 @@ def test_rounding_errors_of_the_costs_move_their_minimum_no_further_than_in_prop
     random = np.random.default_rng(0)
     for flat in (0.0, 1.0):
 
-        def cost(x, flat=flat):
-            return np.log(np.exp(-2.0 * x) + (1.0 if flat else np.exp(x))) + noise * random.normal()
+        def cost(x, tried, flat=flat):
+            return np.log(np.exp(-2.0 * x) + (1.0 if flat else np.exp(x))) + noise * random.normal(), tried
 
-        found = [_minimise(cost, -4.0, 6.6) for _ in range(5)]
+        found = [_minimise(cost, -4.0, 6.6, [])[0] for _ in range(5)]
         # A flat cost is followed until its slope is this small: there an error counts in proportion to its reciprocal.
         least_slope = _SLOWER if flat else 1.0
         assert np.ptp(found) < 100.0 * noise / least_slope

@@ -645,6 +645,12 @@ nd nd_sorted(nd_arena *a, nd x) {
     return r;
 }
 
+int nd_find(int n, const char *const *names, const char *name) {
+    for (int i = 0; i < n; i++)
+        if (strcmp(names[i], name) == 0) return i;
+    return -1;
+}
+
 nd nd_cumsum(nd_arena *a, nd x) {
     nd r = nd_copy(a, x);
     for (int i = 1; i < nd_len(r); i++) r.p[i] += r.p[i - 1];

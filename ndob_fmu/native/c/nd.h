@@ -158,6 +158,8 @@ nd nd_matmul(nd_arena *a, nd x, nd y);
 nd nd_tensordot1(nd_arena *a, nd x, nd y); /* the last axis of x with the first of y */
 nd nd_rhk_hkj(nd_arena *a, nd x, nd y);    /* einsum("rhk,hkj->rhj") */
 
+int nd_find(int n, const char *const *names, const char *name);
+
 /* -- linear algebra (nd_linear.c) */
 typedef struct {
     nd v0, v1;

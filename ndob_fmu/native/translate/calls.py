@@ -270,6 +270,8 @@ class Calls(Expressions):
 
     def _same(self, node: ast.Call, want: Kind | None) -> Value:
         value = self.certain(self.expression(node.args[0], want))
+        if isinstance(value.kind, ComplexArray):
+            return value
         if ast.unparse(node.func) == "numbers":
             return Value(value.text, NUMBERS, value.fresh)
         return Value(self.as_array(value, node), value.kind if isinstance(value.kind, Array) else ARRAY, value.fresh)
@@ -639,8 +641,8 @@ class Calls(Expressions):
             known = self.program.structure(value.kind.name)
             if name == "_replace":
                 return self._changed(node, value, named)
-            if name in known.fields and isinstance(known.fields[name].kind, Function):
-                field = self.expression(function)
+            if name in known.fields and isinstance(known.fields[name].kind, (Function, Maybe)):
+                field = self.certain(self.expression(function))
                 assert isinstance(field.kind, Function)
                 return self._call_value(node, field, field.kind)
             if name in known.methods:
@@ -691,6 +693,12 @@ class Calls(Expressions):
 
     # -- messages
 
+    def _of_complex(self, node: ast.expr) -> Value | None:
+        """Return an entry of complex numbers, if the expression is one."""
+        if isinstance(node, ast.Subscript) and isinstance(self.kind_if_known(node.value), ComplexArray):
+            return self.expression(node)
+        return None
+
     def message(self, node: ast.expr) -> tuple[str, list[str]]:
         """Return a text with numbers in it as a format of printf and its arguments."""
         if isinstance(node, ast.Constant):
@@ -703,7 +711,9 @@ class Calls(Expressions):
             return text, arguments
         if isinstance(node, ast.FormattedValue):
             form = "" if node.format_spec is None else ast.unparse(node.format_spec)[2:-1]
-            value = self.certain(self.expression(node.value))
+            value = self.certain(self._of_complex(node.value) or self.expression(node.value))
+            if isinstance(value.kind, ComplexArray):
+                return f"%{form}%+{form}j", [f"nd_item({part.text})" for part in self.parts_of(value)]
             if value.kind == TEXT:
                 return "%s", [value.text]
             if value.kind == INT:

@@ -31,6 +31,7 @@ from ndob_fmu.native.translate.kinds import (
     Pack,
     Simple,
     Structure,
+    Table,
     Unknown,
     by_pointer,
     c_type,
@@ -272,6 +273,8 @@ class Expressions:
             return self.as_number(value, BOOL, node)
         if isinstance(value.kind, Array):
             return f"(nd_item({value.text}) != 0.0)"
+        if isinstance(value.kind, Table):
+            return f"({value.text}.n != 0)"
         if isinstance(value.kind, Listing):
             return f"({self.length(value, node)} != 0)"
         raise self.no(node, "a condition", f"{ast.unparse(node)} of type {value.kind}")
@@ -443,6 +446,10 @@ class Expressions:
             assert isinstance(i, int)
             value = self.held_structure(value)
             return Value(f"{value.text}.v{i}", elements_of(value.kind)[i])
+        if isinstance(value.kind, Table):
+            kind = value.kind.value
+            value = self.held_structure(value)
+            return Value(f"{value.text}.p[{self.found(value, self.expression(node.slice))}]", kind)
         if isinstance(value.kind, Listing):
             return self._item(node, value, value.kind)
         if isinstance(value.kind, Array):
@@ -728,12 +735,20 @@ class Expressions:
             if is_nd(left.kind) and is_nd(right.kind):
                 return Value(f"({left.text}.p {'==' if same else '!='} {right.text}.p)", BOOL)
         if isinstance(operator, (ast.In, ast.NotIn)):
+            table = self.expression(other) if isinstance(other, (ast.Name, ast.Attribute)) else left
+            if isinstance(table.kind, Table):
+                place = self.found(self.held_structure(table), left)
+                return Value(f"({place} {'>=' if isinstance(operator, ast.In) else '<'} 0)", BOOL)
             if not isinstance(other, (ast.Tuple, ast.List)) or not is_number(left.kind):
-                raise self.no(node, "`in` of a number and of a tuple that is written out")
+                raise self.no(node, "`in` a mapping, or of a number in a tuple that is written out")
             held = self.held(left)
             equal = [self.compared(ast.Eq(), held, self.expression(one), node).text for one in other.elts]
             return Value(f"{'!' if isinstance(operator, ast.NotIn) else ''}({' || '.join(equal)})", BOOL)
         return self.compared(operator, left, self.expression(other), node)
+
+    def found(self, table: Value, name: Value) -> str:
+        """Return the place of a name in a mapping, −1 where it is not there."""
+        return f"nd_find({table.text}.n, {table.text}.names, {name.text})"
 
     def compared(self, operator: ast.cmpop, left: Value, right: Value, node: ast.AST) -> Value:
         """Return the comparison of two values."""
@@ -776,6 +791,7 @@ class Expressions:
         if want is not None:
             return want
         found: list[Kind] = []
+        tested = ast.unparse(node.test).split(" is ")  # mypy knows that it is not None in the other branch
         for part, rest in ((node.body, node.orelse), (node.orelse, node.body)):
             if isinstance(part, (ast.List, ast.Tuple)) and not part.elts:
                 kind = self.kind_if_known(rest)
@@ -783,7 +799,8 @@ class Expressions:
         for part in (node.body, node.orelse):
 
             def look(part: ast.expr = part) -> None:
-                found.append(self.expression(part).kind)
+                value = self.expression(part)
+                found.append((self.certain(value) if ast.unparse(part) in tested else value).kind)
 
             self.set_aside(look)
         first, second = found
@@ -835,8 +852,30 @@ class Expressions:
             return self.listed(items, Listing(kinds[0]), node)
         return self.packed(items, Pack(tuple(kinds)), node)
 
+    def _joined_lists(self, node: ast.Tuple | ast.List, kind: Listing) -> Value:
+        """Write [*x, y, …], a list of structures."""
+        parts: list[tuple[bool, Value]] = []
+        for item in node.elts:
+            starred = isinstance(item, ast.Starred)
+            value = self.expression(item.value if isinstance(item, ast.Starred) else item)
+            wanted = kind if starred else kind.element
+            parts.append((starred, self.held_structure(self.coerced(value, wanted, item))))
+        name, i, own = self.temporary(kind), self.temporary(INT), c_type(kind.element)
+        total = " + ".join(f"{value.text}.n" if starred else "1" for starred, value in parts)
+        self.line(f"{name}.p = nd_take_bytes(arena, sizeof({own}) * (size_t)({total}));")
+        self.line(f"{name}.n = 0;")
+        for starred, value in parts:
+            if starred:
+                self.line(f"for ({i} = 0; {i} < {value.text}.n; {i}++) {name}.p[{name}.n++] = {value.text}.p[{i}];")
+            else:
+                self.line(f"{name}.p[{name}.n++] = {value.text};")
+        return Value(name, kind, fresh=True)
+
     def _joined_parts(self, node: ast.Tuple | ast.List) -> Value:
         """Write [*x, y, …], a list of numbers."""
+        first = self.kind_if_known(node.elts[0].value if isinstance(node.elts[0], ast.Starred) else node.elts[0])
+        if isinstance(first, Listing) and not is_nd(first):
+            return self._joined_lists(node, first)
         texts = []
         element: Kind = INT
         for item in node.elts:

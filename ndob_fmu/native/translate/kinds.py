@@ -49,6 +49,13 @@ class Listing:
 
 
 @dataclass(frozen=True)
+class Table:
+    """A mapping from names."""
+
+    value: Kind
+
+
+@dataclass(frozen=True)
 class Pack:
     """A tuple of fixed length."""
 
@@ -77,7 +84,7 @@ class Unknown:
     text: str
 
 
-Kind: TypeAlias = Simple | Array | ComplexArray | Structure | Listing | Pack | Maybe | Function | Unknown
+Kind: TypeAlias = Simple | Array | ComplexArray | Structure | Listing | Table | Pack | Maybe | Function | Unknown
 
 ARRAY = Array()
 NUMBERS = Listing(FLOAT)
@@ -129,6 +136,8 @@ def word(kind: Kind) -> str:
             return "p" + str(len(elements)) + "_" + "_".join(map(word, elements))
         case Listing(element):
             return "nd" if is_number(element) else f"l_{word(element)}"
+        case Table(value):
+            return f"table_{word(value)}"
         case Maybe(value):
             return "nd" if is_nd(value) else f"m_{word(value)}"
         case Function(arguments, result):
@@ -170,7 +179,7 @@ def parts(kind: Kind) -> tuple[Kind, ...]:
             return elements
         case Listing(element):
             return (element,)
-        case Maybe(value):
+        case Maybe(value) | Table(value):
             return (value,)
         case Function(arguments, result):
             return (*arguments, result)

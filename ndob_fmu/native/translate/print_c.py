@@ -20,6 +20,7 @@ from ndob_fmu.native.translate.kinds import (
     Pack,
     Simple,
     Structure,
+    Table,
     Unknown,
     by_pointer,
     c_type,
@@ -160,7 +161,7 @@ def _ordered(program: Program, kinds: Iterable[Kind]) -> list[Kind]:
             if isinstance(kind, Structure)
             else parts(kind)
         )
-        pointed = isinstance(kind, (Listing, Function))
+        pointed = isinstance(kind, (Listing, Table, Function))
         if not pointed:
             for one in inner:
                 visit(one)
@@ -187,6 +188,8 @@ def _declaration(program: Program, kind: Kind) -> str:
             inner = " ".join(f"{c_type(one.kind)} {c_name(one.name)};" for one in fields) or "int nothing;"
         case Pack(elements):
             inner = " ".join(f"{c_type(one)} v{i};" for i, one in enumerate(elements))
+        case Table(value):
+            inner = f"int n; const char *const *names; {c_type(value)} *p;"
         case Listing(element):
             inner = f"int n; {c_type(element)} *p;"
         case Maybe(value):

@@ -27,6 +27,7 @@ from ndob_fmu.native.translate.kinds import (
     Maybe,
     Pack,
     Structure,
+    Table,
     Unknown,
     is_nd,
 )
@@ -270,6 +271,9 @@ class Program:
         if name in ("list", "Sequence") or (name == "tuple" and ast.unparse(inner[-1]) == "..."):
             element = self.kind_of(module, inner[0])
             return Unknown(ast.unparse(node)) if isinstance(element, Unknown) else Listing(element)
+        if name == "Mapping" and ast.unparse(inner[0]) == "str":
+            value = self.kind_of(module, inner[1])
+            return Unknown(ast.unparse(node)) if isinstance(value, Unknown) else Table(value)
         if name == "tuple":
             elements = tuple(self.kind_of(module, one) for one in inner)
             if not any(isinstance(element, Unknown) for element in elements):

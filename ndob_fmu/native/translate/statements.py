@@ -764,6 +764,7 @@ class Writer(Loops):
         result = ["size_t mark_ = arena->used;"] if "mark_" in words else []
         result += [f"{environment} {name};" for environment, name in self.environments]
         result += [self._declaration(name, own) for name, own in self.declared.items() if name in words]
+        result += [f"(void){name};" for name in self.declared if name in words and _only_written(name, lines)]
         result += lines
         if "failed_" in self.jumps:
             result.append("failed_:")
@@ -791,6 +792,12 @@ class Writer(Loops):
         if is_number(kind):
             return [f"return {({FLOAT: 'NAN', INT: '0', BOOL: 'false'})[kind]};"]  # type: ignore[index]
         return [f"{{ {c_type(kind)} none_; memset(&none_, 0, sizeof none_); return none_; }}"]
+
+
+def _only_written(name: str, lines: Sequence[str]) -> bool:
+    """Return whether no line reads a variable, as that of a key of a cache."""
+    pattern = re.compile(rf"\b{name}\b")
+    return not any(pattern.search(line.removeprefix(f"{name} = ")) for line in lines)
 
 
 def holds_memory(program: Program, kind: Kind) -> bool:

@@ -25,11 +25,11 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.augmented import Augmented
 from ndob_fmu.runtime.design.tuning import (
     Knowledge,
-    PredictedErrors,
     at_bandwidth,
     fastest_bandwidth,
     first_response,
     from_pi,
+    predicted_errors,
 )
 
 # The bandwidth over 1/H up to which the power law holds.
@@ -79,13 +79,13 @@ def tuned_law(system: Augmented, H: float, alpha: float, known: Knowledge) -> In
     steepness = k + degree + 0.5
     expected = (k * known.disturbance_rate[0] * gain / ((degree + 0.5) * H**0.5)) ** (1.0 / steepness)
     noise_scale = max(1.0, float(expected * H / _RESOLVED) ** steepness)
-    errors = PredictedErrors(system, H, alpha, known)
-    bandwidth, slower = (errors.best_bandwidth(scale) for scale in (noise_scale, noise_scale * _APART))
+    errors = predicted_errors(system, H, alpha, known)
+    bandwidth, tried = errors.best_bandwidth(noise_scale, ())
+    slower, _ = errors.best_bandwidth(noise_scale * _APART, tried)
     measured = 1.0 - (r + degree) * log(bandwidth / slower) / log(_APART)
     exponent = min(max(measured, (k - r + 0.5) / steepness), (k - r + 0.5) / (k + 0.5))
-    tuned, limit = (
-        at_bandwidth(system, H, at, known).disturbance for at in (bandwidth, fastest_bandwidth(system, H, known))
-    )
+    tuned = at_bandwidth(system, H, bandwidth, known).disturbance
+    limit = at_bandwidth(system, H, fastest_bandwidth(system, H, known), known).disturbance
     return IntensityLaw(
         disturbance=tuned * noise_scale ** (2.0 - 2.0 * exponent),
         limit=limit,

@@ -10,9 +10,9 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.linear_part import LinearPart
-from ndob_fmu.runtime.numerics.zeros import balance
+from ndob_fmu.runtime.numerics.zeros import ComplexArray, balance
 
-Ranges = Mapping[str, Sequence[float]]
+Ranges = Mapping[str, tuple[float, float]]
 
 # Points that are tried besides the first one, where that tells nothing: shares of the way across each range.
 _SHARES = (0.5, 0.25, 0.75)
@@ -29,10 +29,18 @@ def tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPa
     Where the disturbance moves nothing at x̂₀, or no output shows a state, other points of the ranges are tried.
     """
     first = _at(equations, parameters, x_hat, middle_input(equations.inputs, equations.ranges))
-    for found in (first, *(_at(equations, parameters, *point) for point in _others(equations, x_hat))):
-        if found is not None and np.all(np.any(found.G_d, axis=0)) and np.any(found.C):
+    if first is not None and _tells(first):
+        return first
+    for x, u in _others(equations, x_hat):
+        found = _at(equations, parameters, x, u)
+        if found is not None and _tells(found):
             return found
     return first
+
+
+def _tells(found: LinearPart) -> bool:
+    """Return whether each disturbance moves a state and an output shows one."""
+    return bool(np.all(np.any(found.G_d, axis=0)) and np.any(found.C))
 
 
 def require_tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPart:
@@ -50,19 +58,25 @@ def require_tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> 
 
 def _others(equations: Equations, x_hat: Vector) -> list[tuple[list[float], list[float]]]:
     """Return points (x, u) across the ranges."""
-
-    def across(names: Sequence[str], otherwise: Vector, share: float) -> list[float]:
-        at = dict(zip(names, otherwise, strict=True))
-        for name in names:
-            if name in equations.ranges:
-                low, high = equations.ranges[name]
-                at[name] = low + share * (high - low)
-        return list(at.values())
-
-    if not equations.ranges:
+    ranges, no_input = equations.ranges, (0.0,) * len(equations.inputs)
+    if not ranges:
         return []
-    no_input = (0.0,) * len(equations.inputs)
-    return [(across(equations.states, x_hat, s), across(equations.inputs, no_input, s)) for s in _SHARES]
+    return [
+        (_across(equations.states, x_hat, ranges, share), _across(equations.inputs, no_input, ranges, share))
+        for share in _SHARES
+    ]
+
+
+def _across(names: Sequence[str], otherwise: Vector, ranges: Ranges, share: float) -> list[float]:
+    """Return the values a share of the way across each range, and the other values where there is none."""
+    found = []
+    for name, value in zip(names, otherwise, strict=True):
+        if name in ranges:
+            low, high = ranges[name]
+            found.append(low + share * (high - low))
+        else:
+            found.append(value)
+    return found
 
 
 def _at(equations: Equations, parameters: Vector, x: Vector, u: Vector) -> LinearPart | None:
@@ -78,11 +92,11 @@ def _at(equations: Equations, parameters: Vector, x: Vector, u: Vector) -> Linea
     return LinearPart(A=both[:n, :n], B=of_u[:n], C=both[n:, :n], G_f=np.zeros((n, 0)), G_d=both[:n, n:], matched=True)
 
 
-def driven_modes(A: Array, channels: Array) -> Array:
+def driven_modes(A: Array, channels: Array) -> ComplexArray:
     """Return the modes (1/s) of the states that the channels (n,·) drive, directly or through other states."""
     driven = np.any(channels != 0.0, axis=1)
     for _ in range(len(A)):
         driven = driven | np.any((A != 0.0) & driven, axis=1)
     block = A[np.ix_(driven, driven)]
     system = balance(block, np.zeros((len(block), 0)), np.zeros((0, len(block))))
-    return np.asarray(system.rate * np.linalg.eigvals(system.A))
+    return np.asarray(system.rate * np.linalg.eigvals(system.A)).astype(complex)

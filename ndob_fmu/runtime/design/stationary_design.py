@@ -195,9 +195,11 @@ def design_for(
     R_factor: Array,
     intensities: Intensities,
     alpha: float,
-    similar: StationaryDesign | None = None,
+    similar_factor: Array | None = None,
 ) -> StationaryDesign:
-    """Design the stationary gain for a step that is sampled already; `similar`, for other intensities, saves time.
+    """Design the stationary gain for a step that is sampled already.
+
+    similar_factor: `prior_factor` (N,N) of a design for other intensities, which saves time
 
     Raises DesignError where none can be found.
     """
@@ -207,7 +209,7 @@ def design_for(
         system.C,
         noise_factor,
         sample_factor,
-        None if similar is None else similar.prior_factor,
+        similar_factor,
     )
     z = _whitened(system, discrete, sample_factor, prior_factor)
     return StationaryDesign(

@@ -83,8 +83,8 @@ class StepDesigns:
 
         Raises DesignError where there is none.
         """
-        tuned_for, told = tuned_at or H, (1.0,) * len(self.known.R_factor)
-        factors = noise or told
+        tuned_for, told = H if tuned_at is None else tuned_at, (1.0,) * len(self.known.R_factor)
+        factors = told if noise is None else noise
 
         def stationary() -> StationaryDesign:
             R_factor, intensities = self.known.R_factor, self.intensities(tuned_for)

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
-from ndob_fmu.runtime.design.augmented import Augmented, discretise
+from ndob_fmu.runtime.design.augmented import Augmented, Discrete, discretise
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, design_for
 from ndob_fmu.runtime.linear_part import LinearPart
 
@@ -60,57 +61,83 @@ def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledg
     Where samples have hardly any noise, only the ratio of the intensities counts, and a large ratio no longer does. The
     scale makes the white noise on w_d over a step as large as D (for r = 0, that on G as large as D₀).
     """
-    bandwidth = PredictedErrors(system, H, alpha, known).best_bandwidth()
+    bandwidth, _ = predicted_errors(system, H, alpha, known).best_bandwidth(1.0, ())
     tuned = at_bandwidth(system, H, bandwidth, known)
     pace = known.disturbance_rate if system.order else known.disturbance_bound
     scale = float(np.max(np.sqrt(H) * pace / np.sqrt(tuned.disturbance[-len(pace) :])))
     return replace(tuned, scale=max(1.0, scale))
 
 
+class Tried(NamedTuple):
+    """A bandwidth of which J is known.
+
+    log_bandwidth: its logarithm
+    bias, noise: Σ |E|² D²/3 / D₀² and Σ std² / D₀², infinite where there is no design
+    prior_factor (N,N): of the design; None without one
+    """
+
+    log_bandwidth: float
+    bias: float
+    noise: float
+    prior_factor: Array | None
+
+
+@dataclass(frozen=True)
 class PredictedErrors:
-    """The two parts of J over the bandwidth, at the step H (s). It makes each design once.
+    """The two parts of J over the bandwidth, for a system and a step.
 
     ν times the noise and ν² times the intensities leave a gain as it is. So J for any noise follows from the same two
     parts, bias² + ν² noise², at the same bandwidths.
     """
 
-    def __init__(self, system: Augmented, H: float, alpha: float, known: Knowledge) -> None:
-        self._system, self._alpha, self._known = system, alpha, known
-        self._discrete = discretise(system, H, alpha)
-        self._designs: dict[float, StationaryDesign] = {}
-        self._parts: dict[float, tuple[float, float]] = {}
+    system: Augmented
+    discrete: Discrete
+    alpha: float
+    known: Knowledge
 
-    def best_bandwidth(self, noise_scale: float = 1.0) -> float:
-        """Return the bandwidth (rad/s) of the least J for `noise_scale` times the noise that was told."""
+    def best_bandwidth(self, noise_scale: float, tried: Sequence[Tried]) -> tuple[float, list[Tried]]:
+        """Return the bandwidth (rad/s) of the least J for `noise_scale` times the noise that was told.
 
-        def cost(log_bandwidth: float) -> float:
-            bias, noise = self.at(log_bandwidth)
-            total = bias + noise_scale**2 * noise
-            return float(np.log(total)) if np.isfinite(total) else np.inf
+        tried: bandwidths that need no new design. Those that were tried now are behind them in the result.
+        """
 
-        H = self._discrete.H
-        fastest = fastest_bandwidth(self._system, H, self._known)
-        place = _minimise(cost, np.log(_SLOWEST / H), np.log(fastest))
+        def cost(log_bandwidth: float, tried: list[Tried]) -> tuple[float, list[Tried]]:
+            found, tried = self.at(log_bandwidth, tried)
+            total = found.bias + noise_scale**2 * found.noise
+            return float(np.log(total)) if np.isfinite(total) else np.inf, tried
+
+        H = self.discrete.H
+        fastest = fastest_bandwidth(self.system, H, self.known)
+        place, all_tried = _minimise(cost, float(np.log(_SLOWEST / H)), float(np.log(fastest)), list(tried))
         # The minimum is flat: its last digits are those of the processor's arithmetic, and say nothing.
-        return float(np.exp(round(place + float(np.log(H)), _DIGITS)) / H)
+        return float(np.exp(round(place + float(np.log(H)), _DIGITS)) / H), all_tried
 
-    def at(self, log_bandwidth: float) -> tuple[float, float]:
-        """Return Σ |E|² D²/3 / D₀² and Σ std² / D₀², infinite where there is no design."""
-        if log_bandwidth not in self._parts:
-            self._parts[log_bandwidth] = self._predicted(log_bandwidth)
-        return self._parts[log_bandwidth]
+    def at(self, log_bandwidth: float, tried: list[Tried]) -> tuple[Tried, list[Tried]]:
+        """Return the two parts of J, and all that was tried with it."""
+        for one in tried:
+            if one.log_bandwidth == log_bandwidth:
+                return one, tried
+        found = self._predicted(log_bandwidth, tried)
+        return found, [*tried, found]
 
-    def _predicted(self, log_bandwidth: float) -> tuple[float, float]:
-        known, discrete = self._known, self._discrete
-        nearest = min(self._designs, key=lambda other: abs(other - log_bandwidth), default=None)
-        similar = None if nearest is None else self._designs[nearest]
+    def _predicted(self, log_bandwidth: float, tried: Sequence[Tried]) -> Tried:
+        known, discrete = self.known, self.discrete
+        similar, distance = None, np.inf
+        for one in tried:
+            if one.prior_factor is not None and abs(one.log_bandwidth - log_bandwidth) < distance:
+                similar, distance = one.prior_factor, abs(one.log_bandwidth - log_bandwidth)
         try:
-            intensities = at_bandwidth(self._system, discrete.H, float(np.exp(log_bandwidth)), known)
-            design = design_for(self._system, discrete, known.R_factor, intensities, self._alpha, similar)
+            intensities = at_bandwidth(self.system, discrete.H, float(np.exp(log_bandwidth)), known)
+            design = design_for(self.system, discrete, known.R_factor, intensities, self.alpha, similar)
         except DesignError:  # at the far ends of the range; where every design fails, the final one raises
-            return np.inf, np.inf
-        self._designs[log_bandwidth] = design
-        return squared_errors(design, known)
+            return Tried(log_bandwidth, np.inf, np.inf, None)
+        bias, noise = squared_errors(design, known)
+        return Tried(log_bandwidth, bias, noise, design.prior_factor)
+
+
+def predicted_errors(system: Augmented, H: float, alpha: float, known: Knowledge) -> PredictedErrors:
+    """Return the two parts of J at the step H (s)."""
+    return PredictedErrors(system, discretise(system, H, alpha), alpha, known)
 
 
 def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Intensities:
@@ -210,26 +237,38 @@ def first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple
     )
 
 
-def _minimise(cost: Callable[[float], float], low: float, high: float) -> float:
-    """Return the place of the least cost on [low, high].
+def _minimise(
+    cost: Callable[[float, list[Tried]], tuple[float, list[Tried]]], low: float, high: float, tried: list[Tried]
+) -> tuple[float, list[Tried]]:
+    """Return the place of the least cost on [low, high], and all that was tried.
+
+    cost(place, tried) returns the cost at a place, and all that was tried with that.
 
     A scan finds the neighbourhood. Each parabola through three costs brings the place nearer. Their number is fixed and
     the costs stay well apart, so that rounding errors of the costs move the place in proportion only.
     """
-
-    def costs(places: Sequence[float]) -> list[float]:
-        return [cost(place) + _SLOWER * place for place in places]
-
     places: list[float] = np.linspace(low, high, _SCAN).tolist()
-    scanned = costs(places)
+    scanned, tried = _costs(cost, places, tried)
     middle = min(max(int(np.argmin(scanned)), 1), _SCAN - 2)
     reach = places[1] - places[0]
     place = places[middle] + reach * _vertex(*scanned[middle - 1 : middle + 2])
     for _ in range(_PARABOLAS):
         reach *= _CLOSER
         place = min(max(place, low + reach), high - reach)
-        place += reach * _vertex(*costs((place - reach, place, place + reach)))
-    return place
+        around, tried = _costs(cost, [place - reach, place, place + reach], tried)
+        place += reach * _vertex(*around)
+    return place, tried
+
+
+def _costs(
+    cost: Callable[[float, list[Tried]], tuple[float, list[Tried]]], places: Sequence[float], tried: list[Tried]
+) -> tuple[list[float], list[Tried]]:
+    """Return the costs at some places, lower ones for lower places, and all that was tried."""
+    found: list[float] = []
+    for place in places:
+        own, tried = cost(place, tried)
+        found.append(own + _SLOWER * place)
+    return found, tried
 
 
 def _vertex(below: float, here: float, above: float) -> float:

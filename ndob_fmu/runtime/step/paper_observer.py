@@ -148,8 +148,8 @@ class PaperObserver:
         return self.linear.f_rate(self.equations.lipschitz)
 
     def _substeps(self, t: float, H: float) -> int:
-        log_pi = self.gains.schedule.log_pi
-        rise = abs(log_pi(t + H) - log_pi(t))
+        schedule = self.gains.schedule
+        rise = abs(schedule.log_pi(t + H) - schedule.log_pi(t))
         substeps = max(1.0, H * self.fastest_f / _LARGEST_LIPSCHITZ_STEP, rise / _LARGEST_LOG_PI_STEP)
         if substeps > _MOST_SUBSTEPS:
             raise IntegrationError.report(
