@@ -266,13 +266,11 @@ class Setting:
     """The flexible joint in the baselines' form, its linear part, and what the observers are told of it.
 
     tuning: the joint linearised where it hangs down, for the intensity of the Kalman filter
-    lipschitz: γ
     """
 
     system: System
     linear: LinearPart
     tuning: LinearPart
-    lipschitz: float
     x_hat: Array
     x_std: Array
 
@@ -284,7 +282,6 @@ class Setting:
             R_factor=np.diag(np.maximum(sigma, rounding * size)),
             disturbance_bound=np.array([D0]),
             disturbance_rate=np.array([signal.rate(order)]),
-            lipschitz=self.lipschitz,
         )
 
 
@@ -303,7 +300,7 @@ def setting() -> Setting:
     hanging = linear.A + linear.G_f @ jacobian(np.zeros((1, 4)))[0]
     tuning = LinearPart(A=hanging, B=linear.B, C=linear.C, G_f=np.zeros((4, 0)), G_d=linear.G_d, matched=False)
     start = np.array(equations.xhat0), np.array(equations.xhat0_std)
-    return Setting(system, linear, tuning, equations.lipschitz, *start)
+    return Setting(system, linear, tuning, *start)
 
 
 def ekf_scores(data: Record, order: int, plan: Plan) -> Scores:

@@ -23,7 +23,7 @@ STEP, NOISE, ALPHA, ROUNDS = 1e-2, 1e-6, 0.05, 3
 def test_design(benchmark, section):
     model = replace(carts(30), observer=replace(carts(30).observer, alpha=ALPHA))
     rate = model.disturbance_bound[0] * (2.0 * np.pi) ** 2
-    known = Knowledge(NOISE * np.eye(2), np.array(model.disturbance_bound), np.array([rate]), lipschitz=5.0)
+    known = Knowledge(NOISE * np.eye(2), np.array(model.disturbance_bound), np.array([rate]))
     system = augment(linear_part(model), 2)
     intensities = tuned_intensities(system, STEP, ALPHA, known)
     found = stationary_design(system, STEP, known.R_factor, intensities, ALPHA)

@@ -49,7 +49,7 @@ def of_tuning(linear: LinearPart, order: int, H: float, sigma: float) -> dict[st
     """Return the logarithms of tuned intensities and of their law, and the transition of a step."""
     p, q = len(linear.C), linear.G_d.shape[1]
     rate = np.arange(1.0, q + 1.0) * (2.0 * np.pi) ** max(order, 1)
-    known = Knowledge(sigma * np.diag(np.arange(1.0, p + 1.0)), np.arange(1.0, q + 1.0), rate, lipschitz=1.0)
+    known = Knowledge(sigma * np.diag(np.arange(1.0, p + 1.0)), np.arange(1.0, q + 1.0), rate)
     system = augment(linear, order)
     intensities = tuned_intensities(system, H, ALPHA, known)
     found = {"tuning": np.log(np.append(intensities.disturbance, intensities.scale))}

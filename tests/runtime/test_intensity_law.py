@@ -25,7 +25,7 @@ STEP = 1e-2
 def knowledge(linear, order, noise_scale=1.0):
     q = linear.G_d.shape[1]
     sigma = 1e-4 * noise_scale * np.arange(1.0, len(linear.C) + 1.0)
-    return Knowledge(np.diag(sigma), np.full(q, 5.0), np.full(q, 5.0 * (2.0 * np.pi) ** order), lipschitz=1.0)
+    return Knowledge(np.diag(sigma), np.full(q, 5.0), np.full(q, 5.0 * (2.0 * np.pi) ** order))
 
 
 def cost(system, H, disturbance, tuned, known):

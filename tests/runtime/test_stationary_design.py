@@ -26,7 +26,7 @@ hard_problem = pytest.mark.parametrize("problem", HARD, ids=lambda problem: prob
 def knowledge(linear: LinearPart, sigma: float, order: int) -> Knowledge:
     p, q = len(linear.C), linear.G_d.shape[1]
     rate = np.arange(1.0, q + 1.0) * RATE ** max(order, 1)
-    return Knowledge(sigma * np.diag(np.arange(1.0, p + 1.0)), np.arange(1.0, q + 1.0), rate, lipschitz=1.0)
+    return Knowledge(sigma * np.diag(np.arange(1.0, p + 1.0)), np.arange(1.0, q + 1.0), rate)
 
 
 def tuned(linear, *, H, order, sigma, alpha=0.3):

@@ -28,8 +28,8 @@ LINK = linear_part(MODELS["flexible_joint"])
 SINE = 2.0 * np.pi
 
 
-def knowledge(p, sigma, rate, bound=(5.0,), lipschitz=10.0):
-    return Knowledge(np.eye(p) * sigma, np.array(bound), np.array(rate, dtype=float), lipschitz)
+def knowledge(p, sigma, rate, bound=(5.0,)):
+    return Knowledge(np.eye(p) * sigma, np.array(bound), np.array(rate, dtype=float))
 
 
 def errors(system, H, intensities, known, alpha=1.0):

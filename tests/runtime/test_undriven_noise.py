@@ -35,7 +35,7 @@ def error_of(H, resistance, outputs=(0, 2), *, noisy=True):
     """The RMS of d̂ − d over D₀ = 1, d a sine of D₀/2 at 1 Hz, under a voltage of 1 + 2 sin(4.4 t) V."""
     told, true = actuator(outputs=outputs), actuator(resistance, outputs)
     system, R = augment(told, 2), np.diag(SIGMA[: len(outputs)])
-    known = Knowledge(R, np.array([1.0]), np.array([PACE**2]), lipschitz=0.0)
+    known = Knowledge(R, np.array([1.0]), np.array([PACE**2]))
     step, intensities = discretise(system, H, 1.0), tuned_intensities(system, H, 1.0, known)
     noise = [scaled_noise(step, intensities)]
     if noisy:

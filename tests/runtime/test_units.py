@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from ndob_fmu.runtime.design.augmented import augment, discretise
+from ndob_fmu.runtime.design.stationary_design import stationary_design
+from ndob_fmu.runtime.design.tuning import Knowledge, predicted_error, tuned_intensities
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics import transition as transition_module
 from ndob_fmu.runtime.numerics.transition import transition
@@ -29,17 +31,26 @@ def plant(seed):
                 A[2 * i + 1, 2 * other + 1] += c[spring] / m[i]
     G_d = np.zeros((6, 2))
     G_d[1, 0], G_d[5, 1] = 1.0 / m[0], 1.0 / m[2]
+    G_f = np.zeros((6, 1))
+    G_f[3] = 1.0 / m[1]
     C = np.eye(6)[[0, 2, 4]]
-    return LinearPart(A=A, B=np.zeros((6, 0)), C=C, G_f=np.zeros((6, 0)), G_d=G_d, matched=False)
+    return LinearPart(A=A, B=np.zeros((6, 0)), C=C, G_f=G_f, G_d=G_d, matched=False)
+
+
+def knowledge(order, sigma=SIGMA, rate=6.0):
+    """Return what is told of the plant's sensors and disturbances."""
+    bound = np.array([2.0, 0.5])
+    return Knowledge(sigma * np.array([1.0, 2.0, 0.5]) * np.eye(3), bound, bound * rate ** max(order, 1))
 
 
 class Units:
-    """What multiplies the numbers of states x, outputs y and disturbances d."""
+    """What multiplies the numbers of states x, outputs y, disturbances d and f."""
 
     def __init__(self, seed, base, n=6, p=3, q=2):
         random = np.random.default_rng(seed)
         low, high = (-6, 9) if base == 10.0 else (-20, 30)
-        self.x, self.y, self.d = (base ** random.integers(low, high, size=k).astype(float) for k in (n, p, q))
+        sizes = [base ** random.integers(low, high, size=k).astype(float) for k in (n, p, q, 1)]
+        self.x, self.y, self.d, self.f = sizes
 
     def xi(self, order):
         """Return the same for ξ."""
@@ -51,9 +62,15 @@ class Units:
             A=linear.A * self.x[:, None] / self.x,
             B=linear.B,
             C=linear.C * self.y[:, None] / self.x,
-            G_f=linear.G_f * self.x[:, None],
+            G_f=linear.G_f * self.x[:, None] / self.f,
             G_d=linear.G_d * self.x[:, None] / self.d,
             matched=linear.matched,
+        )
+
+    def known(self, known):
+        """Return what is told of sensors and disturbances in these units."""
+        return Knowledge(
+            known.R_factor * self.y[:, None], known.disturbance_bound * self.d, known.disturbance_rate * self.d
         )
 
 
@@ -97,3 +114,31 @@ def test_a_column_that_nothing_links_to_the_others_gets_a_unit_too():
     units = natural_units(np.diag([0.0, -1e9]), np.array([[1e-6, 0.0]]))
     assert np.all(np.isfinite(units))
     assert np.all(units > 0.0)
+
+
+def designed(linear, known, order, H):
+    """Return the stationary design with the intensities that are tuned for it."""
+    system = augment(linear, order, np.diag(known.R_factor))
+    return stationary_design(system, H, known.R_factor, tuned_intensities(system, H, 0.1, known), 0.1)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("base", [2.0, 10.0])
+@pytest.mark.parametrize("sigma", [1e-4, 1e-9])
+def test_gain_and_predicted_error_are_the_same_physical_numbers_in_whatever_units_the_plant_is_written(
+    order, seed, base, sigma
+):
+    linear, units, H = plant(seed), Units(10 * seed + order, base), 5e-3
+    known = knowledge(order, sigma)
+    one, two = designed(linear, known, order, H), designed(units.changed(linear), units.known(known), order, H)
+    gain = two.K * units.y / units.xi(order)[:, None]
+    errors = [predicted_error(one, known.disturbance_rate)]
+    errors.append([part / units.d for part in predicted_error(two, known.disturbance_rate * units.d)])
+    if base == 2.0:
+        np.testing.assert_array_equal(gain, one.K)
+        np.testing.assert_array_equal(errors[1], errors[0])
+    else:
+        size = np.max(np.abs(one.K), axis=1, keepdims=True)
+        np.testing.assert_allclose(gain / size, one.K / size, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(errors[1], errors[0], rtol=1e-9)

@@ -27,9 +27,9 @@ from ndob_fmu.runtime.design.tuning import (
     Knowledge,
     at_bandwidth,
     fastest_bandwidth,
-    first_response,
     from_pi,
     predicted_errors,
+    response_to_d,
 )
 
 # The bandwidth over 1/H up to which the power law holds.
@@ -74,7 +74,7 @@ def tuned_law(system: Augmented, H: float, alpha: float, known: Knowledge) -> In
 
     Raises DesignError where an unknown input shows in no output.
     """
-    degree, gain = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    degree, gain = response_to_d(system, known.R_factor)
     r, k = system.order, max(system.order, 1)
     steepness = k + degree + 0.5
     expected = (k * known.disturbance_rate[0] * gain / ((degree + 0.5) * H**0.5)) ** (1.0 / steepness)

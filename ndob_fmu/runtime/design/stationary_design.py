@@ -28,13 +28,13 @@ class Intensities:
     """White noise that the design assumes. A noise of intensity s, averaged over a step H, has the variance s/H.
 
     disturbance (q_d,): intensities on w_d, on all of G for r = 0.
-    f: intensity on the channel of f.
+    f (q_f,): intensities on the channels of f where they are apart; empty for r = 0, where they are in `disturbance`.
     scale: factor on the standard deviations of all noises, that of the samples included. It leaves the converged gain
     as it is, and sets the weight of the noise against the uncertainty at the start.
     """
 
     disturbance: Array
-    f: float
+    f: Array
     scale: float = 1.0
 
 
@@ -210,6 +210,7 @@ def design_for(
         noise_factor,
         sample_factor,
         similar_factor,
+        intensities.scale * system.units,
     )
     z = _whitened(system, discrete, sample_factor, prior_factor)
     return StationaryDesign(
@@ -222,19 +223,29 @@ def design_for(
         sample_factor=sample_factor,
         prior_factor=prior_factor,
         update=update(prior_factor, system.C, sample_factor),
-        M_H=_dc_inverse(system, discrete, z) if system.order == 0 else None,
+        M_H=_dc_inverse(system, discrete, z, R_factor) if system.order == 0 else None,
         whitened=z,
     )
 
 
 def scaled_noise(discrete: Discrete, intensities: Intensities) -> Array:
     """Return the factor (N,·) of the process noise's covariance over one step."""
-    repeats = discrete.noise_factor.shape[1] // len(intensities.disturbance)
-    columns = np.tile(np.sqrt(intensities.disturbance), repeats)
-    noise = np.hstack([discrete.noise_factor * columns, np.sqrt(intensities.f) * discrete.f_noise_factor])
+    of_d, of_f = discrete.noise_factor, discrete.f_noise_factor
+    noise = np.hstack([_sized(of_d, intensities.disturbance), _sized(of_f, intensities.f)])
     return np.asarray(intensities.scale * noise)
 
 
-def _dc_inverse(system: Augmented, discrete: Discrete, z: Whitened) -> Array:
-    """Return M_H (q2,p): the rows for d of [C (I − Φ (I − K C))⁻¹ Γ]⁻¹, the left inverse where p > q."""
-    return np.asarray(system.linear.selector @ np.linalg.pinv(z.C @ z.settled(forward(z.T, discrete.drive))))
+def _sized(factor: Array, intensities: Array) -> Array:
+    """Return a factor (N,·) of noise of such intensities (q,) from one per unit of them."""
+    return np.asarray(factor * np.tile(np.sqrt(intensities), factor.shape[1] // max(len(intensities), 1)))
+
+
+def _dc_inverse(system: Augmented, discrete: Discrete, z: Whitened, R_factor: Array) -> Array:
+    """Return M_H (q2,p): the rows for d of [C (I − Φ (I − K C))⁻¹ Γ]⁻¹, the left inverse where p > q.
+
+    It is the inverse for outputs in units of their noise.
+    """
+    innovations = np.asarray(np.linalg.solve(R_factor, z.C @ z.settled(forward(z.T, discrete.drive))), dtype=float)
+    units = units_of_inputs(innovations, np.ones(len(innovations)))
+    inverse = units[:, None] * np.linalg.pinv(innovations * units)
+    return np.asarray(system.linear.selector @ np.linalg.solve(R_factor.T, inverse.T).T)

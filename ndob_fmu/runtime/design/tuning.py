@@ -22,11 +22,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented, Discrete, discretise
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, design_for
-from ndob_fmu.runtime.linear_part import LinearPart
 
-# f is trusted like a disturbance at the observer's bandwidth, and never beyond what a state error of this many
-# standard deviations of the noise makes of it.
-_F_ERROR_IN_SIGMA = 10.0
 # The range of the search: the least bandwidth over 1/H, and the largest ratio of the disturbance's spectrum at 1/H to
 # that of the noise, beyond which only rounding changes the gain.
 _SLOWEST = 1e-4
@@ -35,6 +31,8 @@ _SCAN = 10
 # Where the logarithm of the cost is nearly flat, a bandwidth lower by a factor e may cost this part more.
 _SLOWER = 1e-2
 _PARABOLAS = 3
+# Of what a channel could do in the outputs: less is rounding.
+_NO_RESPONSE = 1e-12
 _DIGITS = 3  # of the logarithm of the bandwidth times H
 _CLOSER = 0.4  # the distance of the costs for a parabola, over that of those before
 
@@ -46,13 +44,11 @@ class Knowledge:
     R_factor (p,p): diagonal, standard deviation of each output's sample.
     disturbance_bound (q2,): D₀, the bound of |d|.
     disturbance_rate (q2,): the bound of |d^{(r)}|, of |ḋ| for r = 0.
-    lipschitz: γ.
     """
 
     R_factor: Array
     disturbance_bound: Array
     disturbance_rate: Array
-    lipschitz: float
 
 
 def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledge) -> Intensities:
@@ -147,43 +143,53 @@ def at_bandwidth(system: Augmented, H: float, bandwidth: float, known: Knowledge
     s g² / ω^{2(r+ρ)} in an output, the noise σ² H.
     """
     rates = known.disturbance_rate
-    degree, gain = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    degree, gain = response_to_d(system, known.R_factor)
     common = H * bandwidth ** (2 * (system.order + degree)) / gain**2 / rates[0] ** 2
     return _complete(system, H, common * rates**2, bandwidth, known)
 
 
 def fastest_bandwidth(system: Augmented, H: float, known: Knowledge) -> float:
     """Return the bandwidth (rad/s) beyond which no intensity changes the gain at the step H (s)."""
-    degree, _ = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    degree, _ = response_to_d(system, known.R_factor)
     return float(_FASTEST ** (0.5 / (system.order + degree)) / H)
 
 
 def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensities:
     """Return the intensities of π = s / (σ² H), σ being the smallest noise of an output."""
     s = pi * float(np.min(np.diag(known.R_factor))) ** 2 * H
+    if system.order == 0:  # the paper's design, in which all unknown inputs have one π
+        return Intensities(disturbance=np.full(system.linear.G.shape[1], s), f=np.zeros(0))
     bandwidth = bandwidth_of(system, H, s, known)
     return _complete(system, H, np.full(system.linear.G_d.shape[1], s), bandwidth, known)
 
 
 def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge) -> float:
     """Return the bandwidth (rad/s) that an intensity on the first disturbance asks for; see `at_bandwidth`."""
-    degree, gain = first_response(system.linear, known.R_factor, system.linear.G_d[:, 0])
+    degree, gain = response_to_d(system, known.R_factor)
     return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
 
 
-def f_intensity(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> float:
-    """Return the intensity on the channel of f beside those on the disturbances (q_d,), for r ≥ 1."""
-    like_disturbance = float(np.max(disturbance)) / min(bandwidth, 1.0 / H) ** (2 * system.order)
-    by_noise = (_F_ERROR_IN_SIGMA * known.lipschitz * float(np.min(np.diag(known.R_factor)))) ** 2 * H
-    return max(like_disturbance, by_noise)
+def f_intensities(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Array:
+    """Return the intensities (q_f,) on the channels of f where they are apart from the disturbance's.
+
+    f is trusted like a disturbance up to the bandwidth (rad/s): each channel's spectrum meets the noise's there, in the
+    outputs. So its unit does not matter. A channel that no output shows has none.
+    """
+    linear = system.linear
+    intensities = np.zeros(0 if linear.matched else linear.G_f.shape[1])
+    for i in range(len(intensities)):
+        degree, gain = first_response(system, known.R_factor, linear.G_f[:, i])
+        if degree:
+            intensities[i] = H * bandwidth ** (2 * degree) / gain**2
+    return intensities
 
 
 def _complete(system: Augmented, H: float, disturbance: Array, bandwidth: float, known: Knowledge) -> Intensities:
-    """Add the intensity of f's channel; for r = 0 that channel is one of the disturbance's."""
+    """Add the intensities of f's channels; for r = 0 these are some of the disturbance's."""
     if system.order == 0:
-        q_f = system.linear.G.shape[1] - len(disturbance)
-        return Intensities(disturbance=np.concatenate([np.full(q_f, np.max(disturbance)), disturbance]), f=0.0)
-    return Intensities(disturbance=disturbance, f=f_intensity(system, H, disturbance, bandwidth, known))
+        of_f = f_intensities(system, H, bandwidth, known)
+        return Intensities(disturbance=np.concatenate([of_f, disturbance]), f=np.zeros(0))
+    return Intensities(disturbance=disturbance, f=f_intensities(system, H, min(bandwidth, 1.0 / H), known))
 
 
 def steady_std(design: StationaryDesign, rate: Array) -> Array:
@@ -216,25 +222,39 @@ def predicted_error(design: StationaryDesign, rate: Array) -> tuple[Array, Array
     return design.bias_gain() @ rate, design.noise_std()
 
 
-def first_response(linear: LinearPart, R_factor: Array, channel: Array) -> tuple[int, float]:
+def first_response(system: Augmented, R_factor: Array, channel: Array) -> tuple[int, float]:
     """Return the relative degree ρ of a channel (n,) and ‖R^{-1/2} C A^{ρ−1} g‖, its gain over the noise.
+
+    Both are 0 where no output depends on it. That is judged in the plant's natural units.
+    """
+    n, units = len(channel), system.units[: len(channel)]
+    A = system.linear.A * units / units[:, None]
+    C = np.linalg.solve(R_factor, system.linear.C) * units
+    reached = channel / units
+    least = _NO_RESPONSE * float(np.linalg.norm(C, 2) * np.linalg.norm(reached))
+    for degree in range(1, n + 1):
+        gain = float(np.linalg.norm(C @ reached))
+        if gain > least:
+            return degree, gain
+        reached, least = A @ reached, least * max(float(np.linalg.norm(A, 2)), 1e-300)
+    return 0, 0.0
+
+
+def response_to_d(system: Augmented, R_factor: Array) -> tuple[int, float]:
+    """Return `first_response` to the first disturbance.
 
     Raises DesignError where no output depends on it, or where parameters are so far out of proportion that rounding
     hides it.
     """
-    A_norm = float(np.linalg.norm(linear.A, 2))
-    largest = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C), 2) * np.linalg.norm(channel))
-    for degree in range(1, len(linear.A) + 1):
-        gain = float(np.linalg.norm(np.linalg.solve(R_factor, linear.C @ channel)))
-        if gain > 1e-12 * largest * max(A_norm, 1e-300) ** (degree - 1):
-            return degree, gain
-        channel = linear.A @ channel
-    raise DesignError.report(
-        "unknown inputs",
-        expected="each to show in an output",
-        received="one that shows in none",
-        likely="parameters of sizes that are out of proportion",
-    )
+    found = first_response(system, R_factor, system.linear.G_d[:, 0])
+    if not found[0]:
+        raise DesignError.report(
+            "unknown inputs",
+            expected="each to show in an output",
+            received="one that shows in none",
+            likely="parameters of sizes that are out of proportion",
+        )
+    return found
 
 
 def _minimise(

@@ -24,8 +24,8 @@ from ndob_fmu.runtime.base_errors import DesignError
 _MOST_DOUBLINGS = 40
 # Each doubling squares what is left to add: after an addition of this relative size the rest is below rounding.
 _CONVERGED = 1e-9
-# The first pass works in the states themselves, each later one in the coordinates that the pass before found. The
-# passes end when one changes the coordinates by less than this factor.
+# Each pass works in the coordinates that the pass before found. The passes end when one changes them by less than this
+# factor.
 _MOST_PASSES = 5
 _SAME_COORDINATES = 4.0
 _TOLERANCE = 1e-6
@@ -59,17 +59,24 @@ def predict(factor: Array, Phi: Array, noise_factor: Array) -> Array:
 
 
 def stationary(
-    Phi: Array, C: Array, noise_factor: Array, R_factor: Array, similar_factor: Array | None = None
+    Phi: Array,
+    C: Array,
+    noise_factor: Array,
+    R_factor: Array,
+    similar_factor: Array | None = None,
+    units: Array | None = None,
 ) -> Array:
     """Return the factor (N,N) of the P⁻ to which the recursion converges.
 
     The doubling algorithm finds it; as rounding errors matter least where P⁻ is I, it is repeated in such coordinates.
-    `similar_factor` (N,N), that of a P⁻ for other noise, saves the first pass where it is similar enough.
+    The first pass works in `units` (N,) of ξ, ones if None. `similar_factor` (N,N), that of a P⁻ for other noise, saves
+    it where it is similar enough.
     Raises DesignError where the filter does not forget its errors within 2⁴⁰ steps, or where one more step of the
     recursion, in the states themselves, changes the correction K e by more than 1e-6 of a state's standard deviation.
     """
     change = np.inf
-    starts = [np.eye(len(Phi))] if similar_factor is None else [similar_factor, np.eye(len(Phi))]
+    first = np.eye(len(Phi)) if units is None else np.diag(units)
+    starts = [first] if similar_factor is None else [similar_factor, first]
     with np.errstate(all="ignore"):  # what leaves the finite numbers is refused below
         seen = np.asarray(np.linalg.solve(R_factor, C), dtype=float)
         for start in starts:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -82,9 +82,7 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
     size = np.abs(_output(equations, parameters, x_hat, linear.C)) + np.abs(linear.C) @ std
     rounding = 4.0 * np.finfo(float).eps * size
     noise = np.maximum(noise, rounding)
-    known = Knowledge(
-        R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate, lipschitz=equations.lipschitz
-    )
+    known = Knowledge(R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate)
     return PreparedObserver(
         equations=equations,
         parameters=parameters,
@@ -108,7 +106,7 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
         ),
         tracking=StepDesigns(
             system=augment(working, order, noise),
-            known=replace(known, lipschitz=0.0),
+            known=known,
             x_std=std,
             alpha=settings.alpha,
             pi=settings.pi,

@@ -23,7 +23,7 @@ from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.preparation import PreparedObserver
 
 # A frozen gain that takes f for noise is as good as one that follows f's slopes up to this ratio of predicted errors.
-_AS_GOOD = 1.1
+_AS_GOOD = 1.01
 
 
 @dataclass(frozen=True)
