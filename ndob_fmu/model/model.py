@@ -82,7 +82,8 @@ class Model:
     state_noise: intensity of white noise on the derivative of a state, {state: σ}, a standard deviation per √s; 0 for
         none
     x0, xhat0: start values of the plant and of its estimate, (n,)
-    xhat0_std: standard deviation of the error of xhat0, (n,); by default |x0 − xhat0|, or 1 where that is 0
+    xhat0_std: standard deviation of the error of xhat0, (n,); by default |x0 − xhat0|, and where that is 0, that of a
+        number anywhere in the state's range; 1 without a range
     observer, disturbance, experiment: start values of the FMUs
     channel: n(x, u, p) returns k SymPy expressions, the direction in which the one disturbance acts
     channel_bound: bound of each |n_j|, one number or k; 1 by default
@@ -136,6 +137,8 @@ class Model:
         self._check_numbers()
         starts = {name: both for name, *both in zip(self.states, self.x0 or (), self.xhat0 or (), strict=True)}
         self._set("ranges", require_ranges(f"{self.name}.ranges", self.ranges, starts, self.inputs))
+        unsaid = tuple(abs(x0 - xhat0) or self._spread(name) for name, (x0, xhat0) in starts.items())
+        self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, unsaid, positive=True))
         for row, name in enumerate(self.outputs):
             state = self.symbols[name] if name in self.states else None
             if state is not None and (self.vector_field.outputs[row] - state).is_zero is not True:
@@ -284,8 +287,6 @@ class Model:
         n, q, k = len(self.states), len(self.disturbances), len(self.channel_expressions)
         for vector in ("x0", "xhat0"):
             self._set(vector, self._numbers(vector, getattr(self, vector), (0.0,) * n))
-        differences = tuple(abs(a - b) or 1.0 for a, b in zip(self.x0 or (), self.xhat0 or (), strict=True))
-        self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, differences, positive=True))
         self._set(
             "disturbance_bound",
             require_bounds(f"{self.name}.disturbance_bound", self.disturbance_bound, q, positive=True),
@@ -304,6 +305,13 @@ class Model:
         if self.lipschitz is not None:
             require_not_negative(f"{self.name}.lipschitz", self.lipschitz)
         require_defaults(self.name, q, self.observer, self.disturbance, self.experiment)
+
+    def _spread(self, state: str) -> float:
+        """Return the standard deviation of a number anywhere in the range of a state, 1 without a range."""
+        if state not in self.ranges:
+            return 1.0
+        low, high = self.ranges[state]
+        return float((high - low) / np.sqrt(12.0))
 
     def _numbers(
         self, label: str, value: Any, default: tuple[float, ...], *, positive: bool = False

@@ -96,6 +96,12 @@ def test_start_values_are_zero_unless_given():
     assert (model.x0, model.xhat0) == ((0.0,) * 4, (1.0, 2.0, 3.0, 4.0))
 
 
+def test_the_start_is_as_uncertain_as_its_two_values_differ_or_else_as_the_state_can_vary():
+    model = plant(x0=[1.0, 0.0, 0.0, 0.0], ranges={"a": (-5.0, 5.0), "b": (-1e-5, 2e-5)})
+    assert model.xhat0_std == pytest.approx((1.0, 3e-5 / np.sqrt(12.0), 1.0, 1.0))
+    assert plant(ranges={"b": (-1.0, 1.0)}, xhat0_std=[2.0] * 4).xhat0_std == (2.0,) * 4
+
+
 def test_parameters_enter_matrices_under_their_names_and_can_be_replaced():
     k = sympy.Symbol("k")
     A = [[0, 1, 0, 0], [-k, -3, 0, 1], [0, 0, -1, 0], [1 / k, 0, 0, -4]]
