@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 def thunk(name: str, arity: int, count: int) -> str:
     """Return `call_<name>`, a function of `arity` arrays whose result has `count` numbers."""
@@ -29,5 +31,59 @@ def trial_thunk(n: int) -> str:
         "    (void)env;\n"
         "    if (fault) raise_fault(arena, fault);\n"
         "    return trial;\n"
+        "}\n"
+    )
+
+
+def matrices_thunk(shapes: Sequence[tuple[int, int]]) -> str:
+    """Return `call_matrices`: the matrices of these shapes, which the printed function writes one behind the other."""
+    count = sum(rows * columns for rows, columns in shapes)
+    listed = ", ".join(f"{{{rows}, {columns}}}" for rows, columns in shapes)
+    return (
+        "static l_l_nd call_matrices(nd_arena *arena, const void *env, nd p) {\n"
+        f"    static const int shapes[][2] = {{{listed}}};\n"
+        f"    l_l_nd found = {{{len(shapes)}, nd_take_bytes(arena, {len(shapes)} * sizeof(nd_list))}};\n"
+        f"    nd result = numbers(arena, {count});\n"
+        "    double *from = result.p;\n"
+        "    int fault = matrices(flat(arena, p), result.p);\n"
+        "    (void)env;\n"
+        "    if (fault) raise_fault(arena, fault);\n"
+        "    for (int k = 0; k < found.n; k++) {\n"
+        "        found.p[k].n = shapes[k][0];\n"
+        "        found.p[k].p = nd_take_bytes(arena, (size_t)shapes[k][0] * sizeof(nd) + 1);\n"
+        "        for (int i = 0; i < shapes[k][0]; i++, from += shapes[k][1])\n"
+        "            found.p[k].p[i] = nd_view(shapes[k][1], from);\n"
+        "    }\n"
+        "    return found;\n"
+        "}\n"
+    )
+
+
+def converged_step_thunk(fields: Sequence[str], counts: Sequence[int]) -> str:
+    """Return `call_observer_step`.
+
+    fields: of the gain, as the printed function takes them
+    counts: of the numbers in each field of `ObserverStep`
+    """
+    gain = "".join(f"flat(arena, gain->{field}), " for field in fields)
+    names = ("xi_hat", "xi_at_sample", "d_hat", "innovation", "u", "sample", "squares", "outputs")
+    places = [sum(counts[:i]) for i in range(len(counts))]
+    parts = "".join(
+        f"    found.value.{name} = nd_view({count}, result.p + {place});\n"
+        for name, count, place in zip(names, counts, places, strict=True)
+    )
+    return (
+        "static m_ObserverStep call_observer_step(nd_arena *arena, const void *env, nd xi_hat, nd inputs, nd squares,\n"
+        "                                         nd k, const ConvergedGain *gain, double H) {\n"
+        "    m_ObserverStep found;\n"
+        f"    nd result = numbers(arena, {sum(counts)});\n"
+        "    int fault = observer_step(flat(arena, xi_hat), flat(arena, inputs), flat(arena, squares),\n"
+        f"                              flat(arena, k), {gain}H, result.p);\n"
+        "    (void)env;\n"
+        "    memset(&found, 0, sizeof found);\n"
+        "    if (fault && fault != STOPPED) raise_fault(arena, fault);\n"
+        "    found.some = !fault;\n"
+        f"{parts}"
+        "    return found;\n"
         "}\n"
     )

@@ -48,20 +48,23 @@ static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) 
 
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, 1}; }
 
+/* The one pass of a copy into another block. */
+nd_keeping nd_copy_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, 3}; }
+
 void nd_keep_end(nd_keeping *k) {
     size_t bytes = k->a->used - k->top;
     memmove(k->a->base + k->mark, k->a->base + k->top, bytes);
     k->a->used = k->mark + bytes;
 }
 
-/* First pass: copy a block that would be given back behind all others. Returns whether this is the first pass. */
+/* First pass: copy a block that would be given back behind all others. Returns whether a pass copies. */
 bool nd_keep_block(nd_keeping *k, void **p, size_t bytes) {
-    if (k->pass == 1 && bytes && is_inside(k->a, *p, k->mark, k->top)) {
+    if (bytes && (k->pass == 3 || (k->pass == 1 && is_inside(k->a, *p, k->mark, k->top)))) {
         void *copy = nd_take_bytes(k->a, bytes);
         memcpy(copy, *p, bytes);
         *p = copy;
     }
-    return k->pass == 1;
+    return k->pass != 2;
 }
 
 /* Second pass: point to where `nd_keep_end` moves the copy. */
@@ -71,9 +74,9 @@ void nd_keep_shift(nd_keeping *k, void **p) {
 
 void nd_keep_array(nd_keeping *k, nd *x) {
     void *p;
-    if (x->rank < 0) return;
-    if (k->pass == 1) {
-        if (is_inside(k->a, x->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
+    if (x->rank < 0 || !x->p) return; /* there is no array, or its field was never filled */
+    if (k->pass != 2) {
+        if (k->pass == 3 || is_inside(k->a, x->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
         return;
     }
     p = x->p;
@@ -359,6 +362,23 @@ void nd_append(nd_arena *a, nd *x, double value) {
     x->p = nd_room(a, x->p, x->n[0], sizeof(double));
     x->p[x->n[0]++] = value;
 }
+
+double *nd_write(double *to, nd x) {
+    if (x.rank < 0) return to;
+    nd compact = x;
+    compact.p = to;
+    for (int i = x.rank - 1, s = 1; i >= 0; s *= x.n[i--]) compact.s[i] = s;
+    nd_put(compact, x);
+    return to + nd_size(x);
+}
+
+const double *nd_read(const double *from, nd x) {
+    if (x.rank < 0) return from;
+    for (int i = 0, size = nd_size(x); i < size; i++) x.p[i] = from[i];
+    return from + nd_size(x);
+}
+
+int nd_integer(double x) { return x >= -1e9 && x <= 1e9 ? (int)x : -1; }
 
 /* -- forms */
 

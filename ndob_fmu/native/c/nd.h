@@ -63,6 +63,7 @@ typedef struct {
     int pass;
 } nd_keeping;
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark);
+nd_keeping nd_copy_begin(nd_arena *to);
 void nd_keep_end(nd_keeping *k);
 bool nd_keep_block(nd_keeping *k, void **p, size_t bytes);
 void nd_keep_shift(nd_keeping *k, void **p);
@@ -108,6 +109,11 @@ nd nd_indices(nd_arena *a, nd mask); /* flatnonzero */
 nd nd_argwhere(nd_arena *a, nd mask);
 void *nd_room(nd_arena *a, const void *items, int count, size_t bytes);
 void nd_append(nd_arena *a, nd *x, double value);
+
+/* Arrays as numbers one after the other; what is read must have its shape already, and lie in one piece. */
+double *nd_write(double *to, nd x);
+const double *nd_read(const double *from, nd x);
+int nd_integer(double x); /* of a number from outside: -1 where it is none */
 
 /* -- forms */
 nd nd_transposed(nd x);

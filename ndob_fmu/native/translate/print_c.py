@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ndob_fmu.native.translate.expressions import c_name
 from ndob_fmu.native.translate.kinds import (
-    ARRAY,
     NOTHING,
     TEXT,
     Array,
-    ComplexArray,
     Function,
     Kind,
     Listing,
@@ -31,7 +28,8 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.program import Definition, Program
 from ndob_fmu.native.translate.refusal import RefusedError
-from ndob_fmu.native.translate.statements import World, Writer, holds_memory, keeper
+from ndob_fmu.native.translate.statements import World, Writer
+from ndob_fmu.native.translate.storage import copy_heads, movers, storage
 
 _PREDEFINED = ("nd", "nd_two", "nd_three", "nd_list", "nd_names", "nd_slice")
 
@@ -54,12 +52,20 @@ class Translation:
 
 
 def translate(
-    modules: Sequence[str], name: str, *, leave_out: Collection[str] = (), only: Collection[str] | None = None
+    modules: Sequence[str],
+    name: str,
+    *,
+    leave_out: Collection[str] = (),
+    only: Collection[str] | None = None,
+    copied: Sequence[str] = (),
+    stored: Sequence[str] = (),
 ) -> Translation:
     """Return the functions and methods of modules, and all that these use, in C.
 
     leave_out: functions, by module and name, that are not tried unless others use them
     only: the functions, by module and name, that are tried besides those that they use; None: all
+    copied: the classes with a function `copied_…`, which copies a value into another block of memory
+    stored: the classes with functions `write_…` and `read_…`, for a value as numbers; see `storage`
     """
     program = Program()
     world = World(program)
@@ -78,7 +84,9 @@ def translate(
     _without_dependents(texts, uses, refused)
     kinds = [kind for one in texts.values() for kind in one[1]]
     definitions = tuple(one for one in world.wanted if one.where in texts)
-    header, source = _files(world, kinds, definitions, {key: text for key, (text, _) in texts.items()}, name)
+    header, source = _files(
+        world, kinds, definitions, {key: text for key, (text, _) in texts.items()}, name, copied, stored
+    )
     return Translation(header, source, definitions, refused, program)
 
 
@@ -118,7 +126,13 @@ def _without_dependents(texts: Texts, uses: Mapping[str, set[str]], refused: dic
 
 
 def _files(
-    world: World, kinds: Iterable[Kind], definitions: Sequence[Definition], texts: Mapping[str, str], name: str
+    world: World,
+    kinds: Iterable[Kind],
+    definitions: Sequence[Definition],
+    texts: Mapping[str, str],
+    name: str,
+    copied: Sequence[str],
+    stored: Sequence[str],
 ) -> tuple[str, str]:
     declared = _ordered(world.program, kinds)
     heads = [Writer(world, one).head() + ";" for one in definitions]
@@ -133,11 +147,12 @@ def _files(
     ]
     header += [f"typedef struct {c_type(kind)} {c_type(kind)};" for kind in declared if _is_struct(kind)]
     header += [text for kind in declared if (text := _declaration(world.program, kind))]
-    header += ["", *heads, "", "#endif", ""]
+    of_storage = storage(world.program, stored)
+    header += ["", *heads, *copy_heads(copied), *of_storage.heads, "", "#endif", ""]
     source = [f'/* Translated from the runtime; do not edit. */\n#include "{name}.h"', ""]
     source += ["#if !defined __GNUC__ || defined __clang__", "#pragma STDC FP_CONTRACT OFF", "#endif", ""]
-    source += _keepers(world.program, declared, body)
-    return "\n".join(header), "\n".join([*source, body])
+    source += movers(world.program, declared, body, copied)
+    return "\n".join(header), "\n".join([*source, *of_storage.texts, body])
 
 
 def _is_struct(kind: Kind) -> bool:
@@ -201,71 +216,6 @@ def _declaration(program: Program, kind: Kind) -> str:
         case _:
             raise AssertionError(kind)
     return f"struct {own} {{ {inner} }};"
-
-
-def _keepers(program: Program, kinds: Sequence[Kind], body: str) -> list[str]:
-    """Return the functions that keep values of the types, as far as the functions call them."""
-    by_word = {word(kind): kind for kind in kinds if holds_memory(program, kind)}
-    wanted = re.findall(r"\bkept_(\w+)\(", body)
-    needed: list[str] = []
-
-    def visit(kind: Kind) -> None:
-        if is_nd(kind) or not holds_memory(program, kind) or word(kind) in needed:
-            return
-        inner = (
-            [one.kind for one in program.structure(kind.name).fields.values()]
-            if isinstance(kind, Structure)
-            else parts(kind)
-        )
-        for one in inner:
-            visit(one)
-        needed.append(word(kind))
-
-    for one in [*wanted, *(found for found in re.findall(r"\bkeep_(\w+)\(", body))]:
-        if one in by_word:
-            visit(by_word[one])
-    texts = [_keep(program, by_word[one]) for one in needed]
-    texts += [_kept(by_word[one]) for one in dict.fromkeys(wanted) if one in by_word]
-    return texts
-
-
-def _keep(program: Program, kind: Kind) -> str:
-    head = f"static void keep_{word(kind)}(nd_keeping *k, {c_type(kind)} *x) {{"
-    if isinstance(kind, Listing):
-        own = c_type(kind.element)
-        each = ""
-        if holds_memory(program, kind.element):
-            each = f"    for (int i = 0; i < x->n; i++) {keeper(kind.element)}(k, &x->p[i]);\n"
-        return (
-            f"{head}\n    void *p = x->p;\n"
-            f"    (void)nd_keep_block(k, &p, sizeof({own}) * (size_t)x->n);\n    x->p = p;\n"
-            f"{each}    nd_keep_shift(k, &p);\n    x->p = p;\n}}\n"
-        )
-    match kind:
-        case Structure(name):
-            fields = [(c_name(one.name), one.kind) for one in program.structure(name).fields.values()]
-        case Pack(elements):
-            fields = [(f"v{i}", one) for i, one in enumerate(elements)]
-        case Maybe(value):
-            fields = [("value", value)]
-        case ComplexArray():
-            fields = [("v0", ARRAY), ("v1", ARRAY)]
-        case _:
-            raise AssertionError(kind)
-    lines = [f"    {keeper(own)}(k, &x->{one});" for one, own in fields if holds_memory(program, own)]
-    if isinstance(kind, Maybe):
-        lines.insert(0, "    if (!x->some) return;")
-    return "\n".join([head, *lines, "}", ""])
-
-
-def _kept(kind: Kind) -> str:
-    own = c_type(kind)
-    return (
-        f"static {own} kept_{word(kind)}(nd_arena *arena, size_t mark, {own} x) {{\n"
-        "    nd_keeping k = nd_keep_begin(arena, mark);\n"
-        f"    for (; k.pass <= 2; k.pass++) keep_{word(kind)}(&k, &x);\n"
-        "    nd_keep_end(&k);\n    return x;\n}\n"
-    )
 
 
 def _thunk(definition: Definition) -> str:

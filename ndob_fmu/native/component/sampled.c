@@ -1,0 +1,193 @@
+/* Method 2: what follows from the parameters, made once and kept, and steps from state to state, as numbers.
+ *
+ * The caller fills `equations`, `parameters` and `settings`, and gives the memory. */
+#include "translated.h"
+
+/* What a result that is kept belongs to. */
+typedef struct {
+    bool some;
+    double H, tuned_at;
+    nd noise;
+    nd_arena memory;
+} Kept;
+
+typedef struct {
+    Equations equations;
+    nd parameters;
+    ObserverSettings settings;
+    PreparedObserver prepared;
+    SampledObserverState shape; /* a state, for the lengths of its arrays */
+    Tuned tuned;
+    StepDesign design;
+    m_ConvergedStep converged;
+    nd_arena lasting, scratch;
+    Kept of_tuned, of_design, of_converged;
+    jmp_buf full;
+} Sampled;
+
+enum { SAMPLED_NO_MEMORY = -1 };
+
+/* Divide a block of memory: half of it to compute in. */
+void sampled_memory(Sampled *self, void *block, size_t bytes) {
+    nd_arena *const parts[] = {&self->lasting, &self->of_tuned.memory, &self->of_design.memory,
+                               &self->of_converged.memory};
+    size_t part = bytes / 8;
+    for (size_t i = 0; i < 4; i++) {
+        nd_start(parts[i], (char *)block + i * part, part);
+        parts[i]->full = &self->full;
+    }
+    nd_start(&self->scratch, (char *)block + 4 * part, bytes - 4 * part);
+    self->scratch.full = &self->full;
+}
+
+static bool is_kept(const Kept *kept, double H, double tuned_at, nd noise) {
+    return kept->some && kept->H == H && kept->tuned_at == tuned_at && nd_equal(kept->noise, noise);
+}
+
+static nd_arena *keep(Kept *kept, double H, double tuned_at, nd noise) {
+    kept->memory.used = 0;
+    kept->some = true;
+    kept->H = H;
+    kept->tuned_at = tuned_at;
+    kept->noise = nd_copy(&kept->memory, noise);
+    return &kept->memory;
+}
+
+static const Tuned *tuned_for(Sampled *self, double H) {
+    nd none = nd_full(&self->scratch, 1, (int[]){0}, 0.0);
+    if (!is_kept(&self->of_tuned, H, H, none)) {
+        Tuned found = tuned_tune(&self->scratch, &self->prepared, H);
+        self->of_tuned.some = false;
+        if (!self->scratch.error) self->tuned = copied_Tuned(keep(&self->of_tuned, H, H, none), found);
+    }
+    return &self->tuned;
+}
+
+/* The design of a step, as `step_by_definition` asks for it. */
+static StepDesign sampled_design(nd_arena *arena, const void *env, double H, double tuned_at, nd noise) {
+    Sampled *self;
+    memcpy(&self, &env, sizeof self);
+    if (!is_kept(&self->of_design, H, tuned_at, noise)) {
+        m_double given = {true, tuned_at};
+        StepDesign found = StepDesigns_at(arena, &self->prepared.designs, H, &given, noise);
+        self->of_design.some = false;
+        if (arena->error) return found;
+        self->design = copied_StepDesign(keep(&self->of_design, H, tuned_at, noise), found);
+    }
+    return self->design;
+}
+
+static const m_ConvergedStep *converged_for(Sampled *self, double H, double tuned_at, nd noise) {
+    if (!is_kept(&self->of_converged, H, tuned_at, noise)) {
+        const Tuned *tuned = tuned_for(self, tuned_at);
+        StepDesign design;
+        m_ConvergedStep found;
+        self->converged.some = false;
+        if (self->scratch.error) return &self->converged;
+        design = sampled_design(&self->scratch, self, H, tuned_at, noise);
+        if (self->scratch.error) return &self->converged;
+        found = converged_step_converged_step(&self->scratch, &tuned->model, &design, tuned_at, noise);
+        self->of_converged.some = false;
+        if (self->scratch.error) return &self->converged;
+        nd_arena *memory = keep(&self->of_converged, H, tuned_at, noise);
+        self->converged.some = found.some;
+        if (found.some) self->converged.value = copied_ConvergedStep(memory, found.value);
+    }
+    return &self->converged;
+}
+
+static double *write_estimate(double *to, const Estimate *x) {
+    const nd parts[] = {x->x_hat, x->d_hat, x->d_at_sample, x->d_std, x->d_lagged, x->d_lagged_std, x->residual,
+                        x->residual_std};
+    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++) to = nd_write(to, parts[i]);
+    *to++ = x->valid ? 1.0 : 0.0;
+    *to++ = x->consistency;
+    return to;
+}
+
+static SampledObserverState given_state(Sampled *self, const double *state) {
+    SampledObserverState given = copied_SampledObserverState(&self->scratch, self->shape);
+    (void)read_SampledObserverState(state, &given);
+    return given;
+}
+
+static void start_in_memory(Sampled *self, nd x_hat) {
+    PreparedObserver found =
+        preparation_prepared(&self->scratch, &self->equations, self->parameters, &self->settings, x_hat);
+    if (self->scratch.error) return;
+    self->prepared = copied_PreparedObserver(&self->lasting, found);
+    SampledObserverState first = sampled_step_start_state(&self->scratch, &self->prepared, x_hat);
+    if (!self->scratch.error) self->shape = copied_SampledObserverState(&self->lasting, first);
+}
+
+static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *given, nd u, nd y, double H, double *state,
+                                  double *outputs) {
+    const FilterMemory *memory = &given->memory;
+    if (!memory->converged || memory->step != H) return false;
+    const m_ConvergedStep *common = converged_for(self, H, memory->tuned_at, memory->frozen_noise);
+    if (self->scratch.error || !common->some) return false;
+    nd inputs = nd_concatenate(&self->scratch, 0, 2, (nd[]){u, y});
+    m_p3_SampledObserverState_nd_nd done = sampled_step_step_converged(
+        &self->scratch, &common->value, self->prepared.layout.n, given, inputs, H);
+    if (self->scratch.error || !done.some) return false;
+    (void)write_SampledObserverState(state, &done.value.v0);
+    (void)nd_write(outputs, done.value.v1);
+    return true;
+}
+
+static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
+    SampledObserverState given = given_state(self, state);
+    if (step_with_frozen_gain(self, &given, u, y, H, state, outputs) || self->scratch.error) return;
+    double tuned_at = sampled_step_step_to_tune_for(&self->scratch, &self->prepared, &given.memory, H);
+    const Tuned *tuned = tuned_for(self, tuned_at);
+    if (self->scratch.error) return;
+    f_double_double_nd_to_StepDesign design_at = {sampled_design, self};
+    p2_SampledObserverState_Estimate done =
+        sampled_step_step_by_definition(&self->scratch, &self->prepared, tuned, design_at, &given, u, y, H);
+    if (self->scratch.error) return;
+    (void)write_SampledObserverState(state, &done.v0);
+    (void)write_estimate(outputs, &done.v1);
+}
+
+static int ended(const Sampled *self) { return self->scratch.error; }
+
+/* Make all that the steps have in common, for an estimate to start from. Returns an error of nd.h, whose message
+ * `scratch` holds, or SAMPLED_NO_MEMORY. */
+int sampled_start(Sampled *self, nd x_hat) {
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    self->scratch.used = 0;
+    start_in_memory(self, x_hat);
+    return ended(self);
+}
+
+/* How many numbers a state has. */
+size_t sampled_state_size(Sampled *self, double *room) { return (size_t)(write_SampledObserverState(room, &self->shape) - room); }
+
+/* Advance a state by H from a sample y, with the input u held. `outputs`: the fields of Estimate but for x_at_sample. */
+int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    self->scratch.used = 0;
+    self->scratch.error = ND_NONE;
+    step_in_memory(self, state, u, y, H, outputs);
+    return ended(self);
+}
+
+/* What is known at a sample before any step from it. */
+int sampled_show(Sampled *self, const double *state, nd y, double *outputs) {
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    self->scratch.used = 0;
+    self->scratch.error = ND_NONE;
+    SampledObserverState given = given_state(self, state);
+    Estimate known = sampled_step_estimate_before_a_step(&self->scratch, &self->prepared, &given, y);
+    if (!self->scratch.error) (void)write_estimate(outputs, &known);
+    return ended(self);
+}
+
+/* Whether numbers can be a state. */
+bool sampled_possible(Sampled *self, const double *state) {
+    if (setjmp(self->full)) return false;
+    self->scratch.used = 0;
+    self->scratch.error = ND_NONE;
+    SampledObserverState given = given_state(self, state);
+    return sampled_step_is_possible_state(&self->scratch, &self->prepared, &given);
+}
