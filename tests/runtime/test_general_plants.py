@@ -16,6 +16,7 @@ from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.step.paper_observer import paper_observer
+from ndob_fmu.runtime.step.tuned import tune
 from tests.helpers.general_plants import ARM, BALL, CART
 from tests.helpers.observers import sampled_observer
 
@@ -238,3 +239,66 @@ def test_a_nominal_value_needs_a_model_of_the_disturbance():
     eq = compile_model(tank(350.0))
     with pytest.raises(DesignError, match=r"disturbance_nominal: expected .*0 with disturbance_order 0"):
         sampled_observer(eq, (0.0,), x_hat=eq.xhat0, order=0)
+
+
+# -- uncertain parameters that act as the disturbance does
+
+DRIVE = Model(
+    name="Drive",
+    states=["angle", "speed", "current"],
+    inputs=["voltage"],
+    outputs=["angle", "current"],
+    disturbances=["load"],
+    dynamics=lambda x, u, d, p: [
+        x.speed,
+        (p.flux * x.current - p.friction * x.speed) / p.inertia + 2.0 * d.load,
+        (u.voltage - x.current) / p.inductance - p.flux * x.speed,
+    ],
+    parameters={"inertia": 0.5, "friction": 0.1, "flux": 1.0, "inductance": 0.1},
+    parameter_std={"inertia": 0.05, "friction": 0.1, "flux": 0.05, "inductance": 0.01},
+    noise_std=1e-3,
+    disturbance_bound=1.0,
+    observer=ObserverDefaults(disturbance_rate=1.0),
+)
+
+
+def test_parameters_that_act_in_the_directions_of_the_disturbance_alone_are_found():
+    eq, p = compile_model(DRIVE), DRIVE.parameter_values()
+    model = tune(sampled_observer(eq, p, x_hat=eq.xhat0), 1e-2).model
+    assert model.like_disturbance.tolist() == [1.0, 1.0, 0.0, 0.0]
+    x, u = np.array([0.3, 2.0, 1.5]), [4.0]
+    inertia, friction = (1.0 * x[2] - 0.1 * x[1]) / 0.5**2 / 2.0 * 0.05, x[1] / 0.5 / 2.0 * 0.1
+    xi = np.concatenate([x, [0.0, 0.0], p])
+    assert model.taken_for_disturbance(xi, u) == pytest.approx([inertia**2 + friction**2], rel=1e-9)
+    told = replace(DRIVE, outputs=["angle", "current"], observer=ObserverDefaults(estimate_parameters=True))
+    estimated = tune(sampled_observer(compile_model(told), p, x_hat=eq.xhat0), 1e-2).model
+    assert not estimated.like_disturbance.any()
+
+
+def test_the_estimate_stays_smooth_where_wrong_parameters_exceed_the_bound_of_the_disturbance():
+    """The drive's gain is told 40 % too small, ± 40 %: that is four times the bound."""
+    model = Model(
+        name="Fan",
+        states=["speed"],
+        inputs=["torque"],
+        outputs=["speed"],
+        disturbances=["load"],
+        dynamics=lambda x, u, d, p: [p.gain * u.torque - x.speed + d.load],
+        parameters={"gain": 1.0},
+        parameter_std={"gain": 0.4},
+        noise_std=0.01,
+        observer=ObserverDefaults(disturbance_rate=4.0),
+    )
+    eq = compile_model(model)
+    observer = sampled_observer(eq, model.parameter_values(), x_hat=eq.xhat0)
+    state, random, H, speed, rows = observer.init(eq.xhat0), np.random.default_rng(1), 1e-2, 0.0, []
+    for k in range(1000):
+        d, u = 0.5 * np.sin(2.0 * k * H), 10.0 + 2.0 * np.sin(3.0 * k * H)
+        state, e = observer.step(state, [u], [speed + 0.01 * random.normal()], H)
+        rows.append((e.d_at_sample[0], e.d_at_sample[0] - d, e.d_std[0], e.valid))
+        speed += H * (1.4 * u - speed + d)
+    found, error, std, valid = np.array(rows, dtype=float)[300:].T
+    assert np.all(valid)
+    assert np.std(np.diff(found)) < 0.01
+    assert np.sqrt(np.mean(error**2)) < 0.5
+    assert np.all(np.abs(error) < 2.0 * std)

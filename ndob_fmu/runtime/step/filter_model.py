@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.like_disturbance import along_disturbance
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers
 from ndob_fmu.runtime.numerics.units import units_of_inputs
@@ -33,6 +34,7 @@ class FilterModel:
     scale: factor on the standard deviations of all noises, as in `Intensities`
     start_std (N,): standard deviations of ξ before the first sample
     undriven (n,): intensity of the noise on states that nothing else drives, over the step
+    like_disturbance: 1 for each uncertain parameter that is considered and acts as d does, else 0
     natural_units (n + r q2,): of x and the series of d, as in `Augmented`
     least_noise (p,): the least ratio of a variance of noise to the one that was told
     jump_spacing: between two hypotheses of a jump (s)
@@ -46,6 +48,7 @@ class FilterModel:
     scale: float
     start_std: Array = field(repr=False)
     undriven: Array = field(repr=False)
+    like_disturbance: Array = field(repr=False)
     natural_units: Array = field(repr=False)
     least_noise: Array = field(repr=False)
     jump_spacing: float
@@ -113,6 +116,13 @@ class FilterModel:
         mask = np.ones(self.rows)
         mask[self.layout.parameters] = [self.settings.estimated[i] for i in self.layout.uncertain]
         return mask
+
+    def growths(self, growth: float) -> Array:
+        """Return the factors (N + past,) on the standard deviations of ξ̂ where it is worse known than P says.
+
+        Of parameters that are considered, samples say nothing.
+        """
+        return np.where(self.estimated > 0.0, growth, 1.0)
 
     @cached_property
     def unknown_disturbance(self) -> Array:
@@ -208,8 +218,20 @@ class FilterModel:
         if layout.order:
             F[:n, layout.disturbance] = both[:n, n:]
         if sensitivity is not None:
-            F[:n, layout.parameters] = sensitivity[:n]
+            F[:n, layout.parameters] = sensitivity[:n] * (1.0 - self.like_disturbance)
         return F
+
+    def taken_for_disturbance(self, xi: Array, u: Vector) -> Array:
+        """Return the variance (q2,) that parameters which act as d does add to that of d̂, at ξ̂ and u (m,)."""
+        n, q = self.layout.n, self.layout.q
+        if not np.any(self.like_disturbance):
+            return np.zeros(q)
+        both, sensitivity = self._linearised(xi, u)
+        if sensitivity is None:
+            return np.zeros(q)
+        std = self.like_disturbance * self.start_std[self.layout.parameters]
+        W = along_disturbance(both[:n, n:], sensitivity[:n], self.start_std)
+        return np.asarray(((W * std) ** 2).sum(axis=1))
 
     def units(self, F: Array, H: float) -> Array:
         """Return units (N,) of ξ, powers of two, in which norms of F of `rates` count, for a step H (s)."""

@@ -137,7 +137,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
                 starting=starting,
             )
             if verdict.refused and starting and not repeats[i] and seen.alpha > seen.noise:
-                now, seen = _with_larger_error(now, seen)
+                now, seen = _with_larger_error(model, now, seen)
             elif verdict.refused and (repeats[i] or not goes_on(before, seen.e, seen.alpha)):
                 refused, fault = verdict, True
         tells = Innovation(
@@ -215,13 +215,13 @@ def _corrected(
     return _Estimate(now.xi + K * seen.e, columns.with_values(values), now.jumps, lagged), K
 
 
-def _with_larger_error(now: _Estimate, seen: _Sight) -> tuple[_Estimate, _Sight]:
+def _with_larger_error(model: FilterModel, now: _Estimate, seen: _Sight) -> tuple[_Estimate, _Sight]:
     """Return an estimate that is further off than its covariance says, which at the start is likelier than a fault."""
     columns, count = now.columns, now.columns.factor_count
     spread = seen.alpha - seen.noise
     growth = sqrt(max((seen.squared * seen.alpha / SUSPICIOUS**2 - seen.noise) / spread, 1.0))
     values = columns.values.copy()
-    values[:, :count] *= growth
+    values[:, :count] *= model.growths(growth)[:, None]
     grown = columns.with_values(values)
     return now._replace(columns=grown), _sight(seen.row, grown, seen.e, seen.noise)
 
@@ -243,17 +243,20 @@ def _with_jump(model: FilterModel, now: _Estimate) -> _Estimate:
     )
 
 
-def bounded(model: FilterModel, xi: Array, columns: ErrorColumns) -> tuple[Array, ErrorColumns]:
+def bounded(model: FilterModel, xi: Array, columns: ErrorColumns, more: Array) -> tuple[Array, ErrorColumns]:
     """Return ξ̂ and the factor with what |d − nominal| ≤ D₀ adds where d is known no better than by that.
 
     The bound counts as a measurement of the nominal d that leaves the standard deviation D₀.
+
+    more (q2,): variance that parameters add to D₀², as `FilterModel.taken_for_disturbance`
     """
-    for j, bound in enumerate((model.bound * model.scale).tolist() if model.layout.order else ()):
+    limits = (model.bound * model.scale) ** 2 + more
+    for j, limit in enumerate(limits.tolist() if model.layout.order else ()):
         place, factor = model.layout.n + j, columns.factor
         seen = factor[place]
         variance = float(seen @ seen)
-        if variance > bound * bound:
-            noise = variance * bound**2 / (variance - bound**2)
+        if variance > limit:
+            noise = variance * limit / (variance - limit)
             K = (factor @ seen) / (variance + noise) * model.estimated
             xi = xi - K * (xi[place] - model.settings.disturbance_nominal[j])
             columns = columns.with_factor(np.column_stack([factor - K[:, None] * seen, K * sqrt(noise)]))

@@ -9,6 +9,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented, augment
+from ndob_fmu.runtime.design.like_disturbance import act_as_disturbance
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
 from ndob_fmu.runtime.design.operating_point import middle_input, require_tangent, tangent
@@ -30,6 +31,7 @@ class PreparedObserver:
     noise_std (p,): of the samples, at least their rounding
     rounding (p,): that rounding
     undriven (n,): intensity of the noise on states that nothing else drives, over the step
+    like_disturbance: 1 for each uncertain parameter that is considered and acts as d does, else 0
     designs: the stationary design for each step size, with f as noise
     tracking: the same with f's slopes at x̂₀ known
     longest: the longest step (s) that is tried
@@ -42,6 +44,7 @@ class PreparedObserver:
     noise_std: Array
     rounding: Array
     undriven: Array
+    like_disturbance: Array
     designs: StepDesigns
     tracking: StepDesigns
     longest: float
@@ -83,6 +86,8 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
     rounding = 4.0 * np.finfo(float).eps * size
     noise = np.maximum(noise, rounding)
     known = Knowledge(R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate)
+    u = middle_input(equations.inputs, equations.ranges)
+    uncertain = tuple(i for i, s in enumerate(settings.parameter_std) if s > 0.0)
     return PreparedObserver(
         equations=equations,
         parameters=parameters,
@@ -92,11 +97,12 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
             q=linear.G_d.shape[1],
             order=order,
             biased=tuple(i for i, s in enumerate(settings.sensors.bias_std) if s > 0.0),
-            uncertain=tuple(i for i, s in enumerate(settings.parameter_std) if s > 0.0),
+            uncertain=uncertain,
         ),
         noise_std=noise,
         rounding=rounding,
         undriven=_undriven(working, settings, x_hat),
+        like_disturbance=_like_disturbance(equations, parameters, settings, uncertain, x_hat, u, noise),
         designs=StepDesigns(
             system=augment(linear, order, noise),
             known=known,
@@ -113,6 +119,23 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
         ),
         longest=longest_step(equations, linear),
     )
+
+
+def _like_disturbance(
+    equations: Equations,
+    parameters: Vector,
+    settings: ObserverSettings,
+    uncertain: tuple[int, ...],
+    x_hat: Vector,
+    u: Vector,
+    noise: Array,
+) -> Array:
+    """Return 1 for each uncertain parameter that is considered and acts as d does, else 0."""
+    if settings.order == 0 or not uncertain:
+        return np.zeros(len(uncertain))
+    size = np.concatenate([np.array(settings.x_std, dtype=float), noise])
+    act = act_as_disturbance(equations, parameters, uncertain, x_hat, u, size)
+    return np.where([settings.estimated[i] for i in uncertain], 0.0, act)
 
 
 def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector) -> Array:

@@ -87,7 +87,7 @@ def reconsidered(
                 growth = max(growth, needed, _LEAST_GROWTH)
         after.append(replace(before, noise_ratio=ratio, counted=counted, debt=0.0, refused=False, mean=0.0))
     growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
-    factor = start_factor(model) if growth > _LOST else memory.columns.factor * growth
+    factor = start_factor(model) if growth > _LOST else memory.columns.factor * model.growths(growth)[:, None]
     columns = memory.columns
     return replace(
         memory,

@@ -35,19 +35,23 @@ def step_with_covariance(
     n, N, d = layout.n, layout.size, layout.disturbance
     xi = np.concatenate([layout.unpacked(state.xi_hat), state.memory.past])
     measured, memory = measured_or_reconsidered(model, xi, state, y)
-    xi, columns = bounded(model, measured.xi, measured.columns)
+    more = model.taken_for_disturbance(measured.xi, state.u)
+    xi, columns = bounded(model, measured.xi, measured.columns, more)
 
     added = measured.mixture
-    at_sample, at_sample_std = xi, _std_of_disturbance(model, columns, added.variance)
+    at_sample = xi
     if added.shift is not None:
         at_sample = xi + added.shift
-    lagged, d_lagged, d_lagged_std = measured.lagged, at_sample[d], at_sample_std
+    d_at_sample, at_sample_std = _published(
+        model, at_sample[d], _variance_of_disturbance(model, columns, added.variance) + more
+    )
+    lagged, d_lagged, d_lagged_std = measured.lagged, d_at_sample, at_sample_std
     if model.settings.lag > 0.0:
         if is_due(lagged, model.settings.lag):
             lagged = remembered(lagged, at_sample[d], (columns.factor[d] ** 2).sum(axis=1))
             columns = columns.with_past(d)
         d_lagged, d_lagged_std = at_lag(lagged, model.settings.lag, layout.q)
-        d_lagged_std = np.minimum(d_lagged_std, model.bound)
+        d_lagged, d_lagged_std = _published(model, d_lagged, d_lagged_std**2 + more)
     past_age = memory.past_age
     if model.delayed:
         xi, columns, past_age = _with_this_sample(model, xi, columns, past_age, state.u, H)
@@ -59,7 +63,8 @@ def step_with_covariance(
         published = published.copy()
         published[:N] += end.Phi @ added.shift[:N]
         variance = (end.Phi**2) @ added.variance[:N]
-    d_std = _std_of_disturbance(model, end.columns, variance)
+    more = model.taken_for_disturbance(end.xi, u)
+    d_hat, d_std = _published(model, published[d], _variance_of_disturbance(model, end.columns, variance) + more)
 
     columns, jumps = end.columns, later_bank(measured.jumps, H)
     # Where the last hypotheses are nearer than the spacing, a jump between cannot be told from them.
@@ -71,7 +76,7 @@ def step_with_covariance(
     lost = memory.lost and starting
     result = SampledObserverState(
         xi_hat=layout.packed(end.xi[:N]),
-        d_hat=numbers(published[d]),
+        d_hat=numbers(d_hat),
         d_std=numbers(d_std),
         u=u,
         innovation=tuple(measured.prediction.innovation),
@@ -97,7 +102,7 @@ def step_with_covariance(
         x_hat=numbers(published[:n]),
         d_hat=result.d_hat,
         x_at_sample=numbers(at_sample[:n]),
-        d_at_sample=numbers(at_sample[d]),
+        d_at_sample=numbers(d_at_sample),
         d_std=result.d_std,
         d_lagged=numbers(d_lagged),
         d_lagged_std=numbers(d_lagged_std),
@@ -109,13 +114,26 @@ def step_with_covariance(
     return result, estimate, measured
 
 
-def _std_of_disturbance(model: FilterModel, columns: ErrorColumns, variance: Array | None) -> Array:
-    """Return the error bar (q2,) of d̂, with what hypotheses of a jump add to the variance (N or more,) of ξ̂."""
+def _variance_of_disturbance(model: FilterModel, columns: ErrorColumns, variance: Array | None) -> Array:
+    """Return the variance (q2,) of d̂, with what hypotheses of a jump add to that (N or more,) of ξ̂."""
     d = model.layout.disturbance
     total = (columns.factor[d] ** 2).sum(axis=1)
     if variance is not None:
         total = total + variance[d]
-    return np.asarray(np.minimum(np.sqrt(total), model.bound))
+    return np.asarray(total)
+
+
+def _published(model: FilterModel, d: Array, variance: Array) -> tuple[Array, Array]:
+    """Return what is published of d̂ (q2,) with a variance (q2,), and its error bar, at most D₀.
+
+    Where considered parameters make the variance larger than D₀², the bound counts as a measurement, as in `bounded`,
+    but for this value only: in ξ̂ the next sample would take it back.
+    """
+    if model.considers:
+        nominal = np.array(model.settings.disturbance_nominal, dtype=float)
+        limit = (model.bound * model.scale) ** 2
+        d = nominal + (d - nominal) * (limit / np.maximum(variance, limit))
+    return d, np.asarray(np.minimum(np.sqrt(variance), model.bound))
 
 
 def consistency(squares: Vector) -> float:

@@ -115,6 +115,7 @@ def filter_model(observer: PreparedObserver, scale: float, jump_spacing: float) 
             ]
         ),
         undriven=observer.undriven,
+        like_disturbance=observer.like_disturbance,
         natural_units=observer.tracking.system.units,
         least_noise=np.ones(len(observer.noise_std))
         if scale > 1.0
