@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from fmus.slave_sampling import SamplingSlave
-from ndob_fmu.runtime.blocks.encoder import Encoder
+from ndob_fmu.runtime.blocks.encoder import Encoder, angle_of_a_count
+from ndob_fmu.runtime.blocks.sampled_measurement import Sampling
 
 
 class EncoderSlave(SamplingSlave):
@@ -14,6 +12,10 @@ class EncoderSlave(SamplingSlave):
 
     measured = "angle"
 
-    def make(self, parameters: Mapping[str, Any]) -> Encoder:
+    def resolution(self) -> float:
+        """Return the angle of one count."""
+        return angle_of_a_count(self.value("counts_per_revolution"))
+
+    def make(self, sampling: Sampling) -> Encoder:
         """Make the encoder."""
-        return Encoder(counts_per_revolution=self.value("counts_per_revolution"), **parameters)
+        return Encoder(sampling)

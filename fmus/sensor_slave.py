@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from fmus.slave_sampling import SamplingSlave
+from ndob_fmu.runtime.blocks.sampled_measurement import Sampling
 from ndob_fmu.runtime.blocks.sensor import Sensor
 
 
@@ -14,6 +12,10 @@ class SensorSlave(SamplingSlave):
 
     measured = "value"
 
-    def make(self, parameters: Mapping[str, Any]) -> Sensor:
+    def resolution(self) -> float:
+        """Return the resolution."""
+        return float(self.value("resolution"))
+
+    def make(self, sampling: Sampling) -> Sensor:
         """Make the sensor."""
-        return Sensor(resolution=self.value("resolution"), **parameters)
+        return Sensor(sampling)

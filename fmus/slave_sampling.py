@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from fmus.slave_base import Slave
-from ndob_fmu.runtime.blocks.sampled_measurement import MISSING, SampledMeasurement, SampledState
+from ndob_fmu.runtime.blocks.encoder import Encoder
+from ndob_fmu.runtime.blocks.sampled_measurement import MISSING, SampledState, Sampling
+from ndob_fmu.runtime.blocks.sensor import Sensor
 
 _PARAMETERS = ("noise_std", "bias", "seed", "sample_time", "delay", "dropout_probability")
 
@@ -21,8 +23,12 @@ class SamplingSlave(Slave):
     """The name of the input."""
 
     @abstractmethod
-    def make(self, parameters: Mapping[str, Any]) -> SampledMeasurement:
-        """Return the device; `parameters` are those that all sampling devices have, by name."""
+    def resolution(self) -> float:
+        """Return the number of which a sample is a multiple; 0 where samples are not rounded."""
+
+    @abstractmethod
+    def make(self, sampling: Sampling) -> Sensor | Encoder:
+        """Return the device."""
 
     def start(self, start_time: float) -> None:
         """Make the device from the parameters."""
@@ -30,12 +36,14 @@ class SamplingSlave(Slave):
             name: self.value(rule) == MISSING["not_a_number"]
             for name, rule in (("between_samples_nan", "between_samples"), ("dropped_nan", "dropped_sample"))
         }
-        self.device = self.make({**dict(zip(_PARAMETERS, self.values(_PARAMETERS), strict=True)), **nan_shown})
+        shared = dict(zip(_PARAMETERS, self.values(_PARAMETERS), strict=True))
+        self.device = self.make(Sampling(**shared, **nan_shown, resolution=self.resolution()))
         self.state = self.device.init(self.value(self.measured), start_time)
 
     def possible(self, state: SampledState, begin: float, now: float) -> bool:
         """Whether the device can be in such a state now."""
-        return state.start_time == begin and self.device.possible(state, now)
+        numbers = all(type(number) is float for number in (*state.times, *state.values))
+        return numbers and state.start_time == begin and self.device.possible(state, now)
 
     def show(self) -> Sequence[Any]:
         """Return the first sample, of the value set so far."""

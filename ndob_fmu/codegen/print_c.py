@@ -54,15 +54,15 @@ static inline double divided(double a, double b, int *fault) {
 
 /* A function of one argument, of which the value is known; `infinite` is the fault where it has none that is finite. */
 static inline double of_one(double value, double argument, int infinite, int *fault) {
-    if (finite(value) || *fault) return value;
+    if (finite_number(value) || *fault) return value;
     if (not_a_number(value)) *fault = not_a_number(argument) ? 0 : OUTSIDE_DOMAIN;
-    else if (finite(argument)) *fault = infinite;
+    else if (finite_number(argument)) *fault = infinite;
     return value;
 }
 
 /* Python rounds to an integer of any length, which is finite. */
 static inline double rounded(double value, int *fault) {
-    if (!finite(value) && !*fault) *fault = not_a_number(value) ? OUTSIDE_DOMAIN : OUTSIDE_RANGE;
+    if (!finite_number(value) && !*fault) *fault = not_a_number(value) ? OUTSIDE_DOMAIN : OUTSIDE_RANGE;
     return value;
 }
 
@@ -71,10 +71,10 @@ static double (*const volatile c_pow)(double, double) = pow;
 
 static inline double raised(double base, double exponent, int *fault) {
     double value = c_pow(base, exponent);
-    if (finite(value) || *fault) return value;
+    if (finite_number(value) || *fault) return value;
     if (base == 0.0 && exponent < 0.0) *fault = DIVISION_BY_ZERO;
     else if (not_a_number(value) && !not_a_number(base) && !not_a_number(exponent)) *fault = OUTSIDE_DOMAIN;
-    else if (!not_a_number(value) && finite(base) && finite(exponent)) *fault = POWER_OUTSIDE_RANGE;
+    else if (!not_a_number(value) && finite_number(base) && finite_number(exponent)) *fault = POWER_OUTSIDE_RANGE;
     return value;
 }
 
@@ -372,7 +372,7 @@ def _condition(condition: Condition) -> str:
         case Compare(left, relation, right):
             return f"{_expression(left)} {relation} {_expression(right)}"
         case SumIsFinite(values):
-            return f"finite({' + '.join(map(_expression, values))})"
+            return f"finite_number({' + '.join(map(_expression, values))})"
         case AnyNonzero(values):
             return " || ".join(f"{_expression(value)} != 0.0" for value in values) or "0"
         case All(conditions):

@@ -13,6 +13,8 @@ _HEAD = re.compile(
     r"(?P<type>(?:const )?[A-Za-z_]\w* \**)(?P<name>[A-Za-z_]\w*)\((?P<arguments>[^;{}]*)\)(?P<end>;| \{)"
 )
 
+_CONSTANT = re.compile(r"(?m)^static const \w+ \*?(?:const )?(\w+)(?:\[\w*\])* = [^;]*;\n")
+
 
 def joined(sources: Sequence[str], root: str) -> str:
     """Return the sources, without the functions that neither the text `root` nor a function that is left uses.
@@ -35,7 +37,9 @@ def _without_unused_constants(text: str, root: str) -> str:
     used = re.findall(r"\w+", re.sub(_COMMENT, "", text + root))
     once = {word for word, count in Counter(used).items() if count == 1}
     return re.sub(
-        r"(?m)^static const \w+ (\w+)(?:\[\w*\])* = [^;]*;\n", lambda found: "" if found[1] in once else found[0], text
+        r"(?m)^static const \w+ \*?(?:const )?(\w+)(?:\[\w*\])* = [^;]*;\n",
+        lambda found: "" if found[1] in once else found[0],
+        text,
     )
 
 

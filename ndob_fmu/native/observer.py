@@ -52,9 +52,9 @@ def sampled_observer_text(model: Model) -> list[str]:
     if translation.refused:
         raise ValueError(f"functions that do not translate: {next(iter(translation.refused.values()))}")
     arrays = [(_HERE / "c" / name).read_text("utf-8") for name in ("nd.h", "nd.c", "nd_linear.c")]
-    component = [(_HERE / "component" / name).read_text("utf-8") for name in ("equations.c", "sampled.c")]
+    component = [(_HERE / "component" / name).read_text("utf-8") for name in ("faults.c", "equations.c", "sampled.c")]
     own = [RUNTIME, *_printed(model, eq), equations_text(eq)]
-    return [*arrays, translation.header, translation.source, component[0], *own, component[1]]
+    return [*arrays, translation.header, translation.source, *component[:2], *own, component[2]]
 
 
 def _printed(model: Model, eq: Equations) -> list[str]:

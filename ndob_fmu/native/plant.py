@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit_c import emit_c
 from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.model.model import Model
-from ndob_fmu.native.join import joined
+from ndob_fmu.native.runtime_code import component, part
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import thunk, trial_thunk
-from ndob_fmu.native.translate.print_c import translate
 from ndob_fmu.native.variable_table import number
 
-_HERE = Path(__file__).parent
-_RUNTIME = "ndob_fmu.runtime"
 _PRINTED = ("derivatives", "output", "linearisation", "plant_constants", "plant_trial")
 _TRANSLATED = {
-    f"{_RUNTIME}.blocks.plant": ("Plant.step", "Plant.possible", "Plant.disturbance"),
-    f"{_RUNTIME}.numerics.integrate": ("largest", "next_substep"),
-    f"{_RUNTIME}.times": ("same_time",),
+    "blocks.plant": ("Plant.step", "Plant.possible", "Plant.disturbance"),
+    "numerics.integrate": ("largest", "next_substep"),
+    "times": ("same_time",),
 }
 
 
@@ -57,26 +51,19 @@ def plant_code(model: Model) -> ComponentCode:
             f"static const double nominal[] = {{{', '.join(map(number, eq.disturbance_nominal))}}};\n",
         ]
     )
-    text = [_part("equations.c"), RUNTIME, emit_c(model, _PRINTED), *thunks, _part("call.c"), own, _part("plant.c")]
+    text = [
+        part("faults.c"),
+        part("call.c"),
+        part("equations.c"),
+        RUNTIME,
+        emit_c(model, _PRINTED),
+        *thunks,
+        own,
+        part("plant.c"),
+    ]
     return component(_TRANSLATED, text)
-
-
-def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
-    """Return a component made of its own texts, of functions of the runtime, by module, and of the arrays."""
-    only = [f"{module}.{name}" for module, names in wanted.items() for name in names]
-    translation = translate(list(wanted), "translated", only=only)
-    missing = [f"{name}: {why}" for name, why in translation.refused.items() if name in only]
-    if missing:
-        raise ValueError(f"functions that do not translate: {missing[0]}")
-    arrays = [(_HERE / "c" / name).read_text("utf-8") for name in ("nd.h", "nd.c", "nd_linear.c")]
-    return ComponentCode(joined([*arrays, translation.header, translation.source, *own], "start show step possible"))
 
 
 def _memory(n: int, q: int, constants: int) -> int:
     """Return the bytes that a step computes in: about fifty matrices of the stiff integrator, and vectors."""
     return 16 * (4096 + 64 * (n + 1) ** 2 + 16 * (n + q + constants))
-
-
-def _part(name: str) -> str:
-    text = (_HERE / "component" / name).read_text("utf-8")
-    return "\n".join(line for line in text.splitlines() if not line.startswith('#include "'))

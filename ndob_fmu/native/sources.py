@@ -42,9 +42,11 @@ class ComponentCode:
 
     text: definitions of the functions `start`, `show`, `step` and `possible`, of the types `Core` and `State`, and of
         all that these use
+    has_end: whether there is a function `end` too
     """
 
     text: str
+    has_end: bool = False
 
 
 def sources(name: str, token: str, variables: Sequence[Variable], code: ComponentCode, fmi: int) -> dict[str, str]:
@@ -54,7 +56,8 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
     fmi: FMI's version, 2 or 3
     """
     members = f".token = {quoted(token)}, {counts(variables)}, .core_size = sizeof(Core), .state_size = sizeof(State)"
-    functions = ", ".join(f".{function} = {function}" for function in ("start", "show", "step", "possible"))
+    names = ("start", "show", "step", "possible", *(("end",) if code.has_end else ()))
+    functions = ", ".join(f".{function} = {function}" for function in names)
     parts = [
         _BEGINNING.format(name=name),
         _without_local_includes(SHELL / "fmu.h"),

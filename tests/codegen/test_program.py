@@ -34,13 +34,13 @@ OF_THE_RUNTIME = """
 #include <math.h>
 #include <float.h>
 
-static int finite(double number) { return fabs(number) <= DBL_MAX; }
+static int finite_number(double number) { return fabs(number) <= DBL_MAX; }
 static int not_a_number(double number) { return !(fabs(number) <= HUGE_VAL); }
 
 static double largest(const double *ratios, int count) {
     double sum = 0.0, most = 0.0;
     for (int i = 0; i < count; i++) { sum += ratios[i]; most = fmax(most, ratios[i]); }
-    return finite(sum) ? most : INFINITY;
+    return finite_number(sum) ? most : INFINITY;
 }
 
 static double length_after(double length, double norm) {
@@ -56,7 +56,7 @@ static void next_substep(double begin, double tried, double count, double norm, 
     *length = *planned >= *left * (1.0 - 1e-12) ? *left : *planned;
     int too_many = count >= 100000 || (count == 10000 && *left > 100000 * *planned)
         || (count >= 30 && *left * count > 500 * *t && *left > 500 * *planned);
-    *trials = too_many || !finite(norm) ? 0 : count + 1;
+    *trials = too_many || !finite_number(norm) ? 0 : count + 1;
 }
 """
 EXCEPTIONS = {2: ZeroDivisionError, 3: ValueError, 4: OverflowError, 5: OverflowError}

@@ -18,8 +18,9 @@ from ndob_fmu.fmu.controller import build_controller, controller_record
 from ndob_fmu.runtime.blocks.controller import Controller, Target
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.disturbance_source import INTERPOLATIONS, SOURCE_KINDS, disturbance_source
-from ndob_fmu.runtime.blocks.encoder import Encoder
+from ndob_fmu.runtime.blocks.encoder import Encoder, angle_of_a_count
 from ndob_fmu.runtime.blocks.random_numbers import normal, philox, uniforms
+from ndob_fmu.runtime.blocks.sampled_measurement import Sampling
 from ndob_fmu.runtime.numerics.integrate import integrate
 from tests.helpers.fmi_instance import ERROR, OK, opened, unpacked
 
@@ -137,9 +138,8 @@ def test_a_profile_that_is_none_is_refused_with_its_row(tmp_path, text, said):
 LSB = 2.0 * math.pi / 4096
 
 
-def encoder(**options):
+def encoder(*, counts_per_revolution=0, **options):
     defaults = {
-        "counts_per_revolution": 0,
         "noise_std": 0.0,
         "bias": 0.0,
         "seed": 0,
@@ -149,7 +149,7 @@ def encoder(**options):
         "between_samples_nan": False,
         "dropped_nan": True,
     }
-    return Encoder(**{**defaults, **options})
+    return Encoder(Sampling(**{**defaults, **options}, resolution=angle_of_a_count(counts_per_revolution)))
 
 
 def shown(device, angles, step_size=0.01, start=0.0):

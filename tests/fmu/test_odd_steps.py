@@ -15,6 +15,7 @@ import pytest
 
 from ndob_fmu.fmu.components import records
 from ndob_fmu.runtime.blocks.encoder import Encoder
+from ndob_fmu.runtime.blocks.sampled_measurement import Sampling
 from tests.attacks.steps import adding_up, coupled, run, with_odd_steps
 from tests.helpers.fmi_instance import OK, opened, unpacked
 
@@ -131,12 +132,13 @@ def test_a_step_of_rounding_size_advances_the_time_of_an_fmu_and_nothing_else(sh
 @pytest.mark.parametrize("every", [1, 4])
 def test_an_encoder_takes_each_sample_in_the_step_that_it_is_due_in(start, H, steps, every):
     """Times as k H rounds them, and as a master adds them up, for as long as that errs by less than H / 1000."""
-    encoder = Encoder(
-        **dict.fromkeys(("noise_std", "bias", "delay", "dropout_probability"), 0.0),
-        **{"seed": 0, "counts_per_revolution": 0, "sample_time": every * H},
+    sampling = Sampling(
+        **dict.fromkeys(("noise_std", "bias", "delay", "dropout_probability", "resolution"), 0.0),
+        **{"seed": 0, "sample_time": every * H},
         between_samples_nan=True,
         dropped_nan=False,
     )
+    encoder = Encoder(sampling)
     for added in (False, True):
         state, t = encoder.init(0.0, start), start
         for k in range(1, steps + 1):

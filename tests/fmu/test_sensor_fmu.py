@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu.cosim import System, simulate
+from ndob_fmu.runtime.blocks.sampled_measurement import Sampling
 from ndob_fmu.runtime.blocks.sensor import Sensor
 from tests.helpers.fmi_instance import ERROR, OK, opened, unpacked
 
@@ -29,7 +30,7 @@ def fmu(shipped):
 
 
 def test_it_is_its_mathematics(fmu):
-    device = Sensor(between_samples_nan=False, dropped_nan=True, **NOISY)
+    device = Sensor(Sampling(between_samples_nan=False, dropped_nan=True, **NOISY))
     state = device.init(0.25, 0.0)
     with opened(fmu) as instance:
         assert instance.setupExperiment(startTime=0.0) == OK

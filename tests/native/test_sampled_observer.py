@@ -27,7 +27,7 @@ BEGINNING = """
 #include <float.h>
 #include <math.h>
 #include <stdbool.h>
-static bool finite(double number) { return fabs(number) <= DBL_MAX; }
+static bool finite_number(double number) { return fabs(number) <= DBL_MAX; }
 static bool not_a_number(double number) { return !(fabs(number) <= HUGE_VAL); }
 """
 # All arrays of the settings in one, one behind the other, in the order of the fields.

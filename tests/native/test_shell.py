@@ -106,7 +106,7 @@ static bool step(const Call *call, double time, double step_size) {
 static bool possible(const Call *call, double begin, double now) {
     const State *state = call->state;
     (void)begin, (void)now;
-    return finite(state->sum) && state->steps >= 0.0;
+    return finite_number(state->sum) && state->steps >= 0.0;
 }
 """)
 

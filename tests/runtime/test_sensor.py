@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ndob_fmu.runtime.blocks.encoder import Encoder
-from ndob_fmu.runtime.blocks.sampled_measurement import SampledState
+from ndob_fmu.runtime.blocks.sampled_measurement import SampledState, Sampling
 from ndob_fmu.runtime.blocks.sensor import Sensor
 
 IDEAL = {
@@ -27,7 +27,7 @@ H = 0.01
 
 
 def sensor(**options):
-    return Sensor(**{**IDEAL, **options})
+    return Sensor(Sampling(**{**IDEAL, **options}))
 
 
 def states(device, signal, times):
@@ -172,8 +172,7 @@ def test_equal_seeds_give_equal_samples_of_a_line_on_any_step():
 
 def test_with_whole_steps_it_shows_what_an_encoder_without_counts_shows():
     options = {**IDEAL, "noise_std": 0.1, "seed": 2, "sample_time": 0.02, "delay": 0.04, "dropout_probability": 0.3}
-    del options["resolution"]
-    encoder = Encoder(counts_per_revolution=0, **options)
+    encoder = Encoder(Sampling(**options))
     np.testing.assert_array_equal(
         shown(sensor(**options), math.sin, evenly(300)), shown(encoder, math.sin, evenly(300))
     )
@@ -221,8 +220,8 @@ def test_a_delay_of_whole_steps_is_exact_also_where_the_host_adds_up_its_times()
 
 def test_it_remembers_no_more_than_the_delay():
     device = sensor(delay=5.5 * H, sample_time=0.03)
-    assert {len(state.points) for state in states(device, line, evenly(200))[20:]} == {7}
-    assert len(states(sensor(), line, evenly(200))[-1].points) == 1
+    assert {len(state.times) for state in states(device, line, evenly(200))[20:]} == {7}
+    assert len(states(sensor(), line, evenly(200))[-1].times) == 1
 
 
 def test_every_state_it_comes_to_is_possible_and_others_are_not():
@@ -235,8 +234,9 @@ def test_every_state_it_comes_to_is_possible_and_others_are_not():
         return SampledState(**{**vars(state), **fields})
 
     assert not device.possible(state, t + 1.0)
-    assert not device.possible(changed(points=()), t)
-    assert not device.possible(changed(points=tuple(reversed(state.points))), t)
-    assert not device.possible(changed(points=((0.0, 1.0), (0.1, 1.0), *state.points)), t)
-    assert not device.possible(changed(points=((0.0, 1), state.points[-1])), t)
-    assert not device.possible(changed(index=-1), t)
+    assert not device.possible(changed(times=(), values=()), t)
+    assert not device.possible(changed(times=state.times[::-1]), t)
+    assert not device.possible(changed(times=(0.0, 0.1, *state.times), values=(1.0, 1.0, *state.values)), t)
+    assert not device.possible(changed(values=state.values[1:]), t)
+    assert not device.possible(changed(index=-1.0), t)
+    assert not device.possible(changed(index=0.5), t)

@@ -173,6 +173,12 @@ nd nd_vector(nd_arena *a, int n, const double *values) {
     return x;
 }
 
+nd nd_view_of(int n, const double *values) {
+    double *p;
+    memcpy(&p, &values, sizeof p);
+    return nd_view(n, p);
+}
+
 nd nd_view(int n, double *values) { return (nd){values, 1, {n, 1, 1, 1}, {1, 1, 1, 1}}; }
 
 nd nd_eye(nd_arena *a, int rows, int columns, int k) {
@@ -779,4 +785,9 @@ double nd_factorial(int n) {
 double nd_rounded(double x, int digits) {
     double scale = pow(10.0, digits);
     return nearbyint(x * scale) / scale;
+}
+
+double nd_ulp(double x) {
+    double size = fabs(x);
+    return size <= DBL_MAX ? nextafter(size, HUGE_VAL) - size : size;
 }

@@ -78,6 +78,7 @@ nd nd_full_like(nd_arena *a, nd x, double value);
 nd nd_scalar(nd_arena *a, double value);
 nd nd_vector(nd_arena *a, int n, const double *values);
 nd nd_view(int n, double *values);
+nd nd_view_of(int n, const double *values); /* that nobody changes */
 nd nd_eye(nd_arena *a, int rows, int columns, int k);
 nd nd_tri(nd_arena *a, int n);
 nd nd_copy(nd_arena *a, nd x);
@@ -197,6 +198,10 @@ int nd_floordiv(int x, int y);
 int nd_bits(int x);
 int nd_bit_length(int x);
 double nd_factorial(int n);
+double nd_ulp(double x);
+
+/* -- random numbers (nd_random.c) */
+nd nd_uniforms(nd_arena *a, int seed, double index); /* runtime.blocks.random_numbers.uniforms */
 double nd_rounded(double x, int digits);
 
 #endif

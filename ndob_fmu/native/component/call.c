@@ -2,10 +2,6 @@
 #include "fmu.h"
 #include "translated.h"
 
-/* Begin to compute in a block of memory; false if it was too small. */
-#define HAS_MEMORY(arena, place, block) \
-    (nd_start(&(arena), (block), sizeof(block)), (arena).full = &(place), setjmp(place) == 0)
-
 /* Say why there is no result, in the words of the Python FMU. `where` names the computation. */
 static bool fail(const Call *call, const nd_arena *arena, Status status, const char *where) {
     char received[2 * ND_MESSAGE];
@@ -23,13 +19,31 @@ static bool fail(const Call *call, const nd_arena *arena, Status status, const c
     return false;
 }
 
-static bool fail_without_memory(const Call *call, Status status) {
-    say(call->instance, status, "memory", "enough for one step", "less", "a defect of this FMU; report it");
+/* What is done in a block of memory: a call of the component with its two times, and the status of a failure. */
+typedef struct {
+    const Call *call;
+    double first, second;
+    Status status;
+} Job;
+
+/* Do a job in a block of memory; false, with a message, where that is too small. */
+static bool in_memory(nd_arena *arena, double *block, size_t bytes, const Job *job, bool (*work)(const Job *)) {
+    bool (*volatile hidden_work)(const Job *) = work; /* inlined, its variables would be at the mercy of longjmp */
+    jmp_buf full;
+    nd_start(arena, block, bytes);
+    arena->full = &full;
+    if (setjmp(full) == 0) return hidden_work(job);
+    say(job->call->instance, job->status, "memory", "enough for one step", "less", "a defect of this FMU; report it");
     return false;
 }
 
+/* The core has `arena` and `memory`. */
+#define IN_MEMORY(call, first, second, status, work) \
+    in_memory(&((Core *)(call)->core)->arena, ((Core *)(call)->core)->memory, sizeof((Core *)0)->memory, \
+              &(Job){call, first, second, status}, work)
+
 static bool finite_numbers(const double *given, size_t count) {
     for (size_t i = 0; i < count; i++)
-        if (!finite(given[i])) return false;
+        if (!finite_number(given[i])) return false;
     return true;
 }

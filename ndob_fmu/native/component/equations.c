@@ -2,11 +2,6 @@
 #include "fmu.h"
 #include "translated.h"
 
-/* As Python says it. */
-static const char *const FAULTS[] = {"", "no result", "float division by zero", "math domain error", "math range error",
-                                      "(34, 'Numerical result out of range')"};
-static const char *const CLASSES[] = {"", "ValueError", "ZeroDivisionError", "ValueError", "OverflowError", "OverflowError"};
-
 static void raise_fault(nd_arena *arena, int fault) { nd_raise(arena, ND_ARITHMETIC, "%s", FAULTS[fault]); }
 
 static const double *flat(nd_arena *arena, nd x) {
@@ -14,14 +9,6 @@ static const double *flat(nd_arena *arena, nd x) {
 }
 
 static nd numbers(nd_arena *arena, int count) { return nd_new(arena, 1, &count); }
-
-/* An array of numbers that nobody changes. */
-static nd nd_view_of(int count, const double *given) {
-    nd view = {NULL, 1, {1, 1, 1, 1}, {1, 1, 1, 1}};
-    memcpy(&view.p, &given, sizeof given);
-    view.n[0] = count;
-    return view;
-}
 
 /* What the printed functions call of the runtime; neither takes memory. */
 static double largest(const double *ratios, int count) {

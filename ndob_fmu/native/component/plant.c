@@ -23,7 +23,6 @@ typedef struct {
     Generator generators[DISTURBANCES + 1];
     double parameters[PARAMETERS + 1];
     nd_arena arena;
-    jmp_buf full;
     double memory[MEMORY / sizeof(double)];
 } Core;
 
@@ -45,7 +44,7 @@ static bool write_outputs(const Call *call, const State *state, const double *he
 static void take_inputs(const Call *call, double held[HELD + 1]) {
     const State *state = call->state;
     if (!finite_numbers(call->values, HELD)) tell(call->instance, WARNING, "inputs that are not finite are held");
-    for (int i = 0; i < HELD; i++) held[i] = finite(call->values[i]) ? call->values[i] : state->held[i];
+    for (int i = 0; i < HELD; i++) held[i] = finite_number(call->values[i]) ? call->values[i] : state->held[i];
 }
 
 static bool start(const Call *call, double start_time) {
@@ -74,39 +73,44 @@ static bool start(const Call *call, double start_time) {
     return true;
 }
 
-static bool show(const Call *call) {
-    Core *core = call->core;
+static bool show_in_memory(const Job *job) {
     double held[HELD + 1];
-    take_inputs(call, held);
-    if (!HAS_MEMORY(core->arena, core->full, core->memory)) return fail_without_memory(call, ERROR);
-    return write_outputs(call, call->state, held, ERROR, "start");
+    take_inputs(job->call, held);
+    return write_outputs(job->call, job->call->state, held, job->status, "start");
 }
 
-static bool step(const Call *call, double time, double step_size) {
-    Core *core = call->core;
-    State *state = call->state, after;
+static bool step_in_memory(const Job *job) {
+    Core *core = job->call->core;
+    State *state = job->call->state, after;
     memset(&after, 0, sizeof after);
-    take_inputs(call, after.held);
-    if (!HAS_MEMORY(core->arena, core->full, core->memory)) return fail_without_memory(call, DISCARD);
+    take_inputs(job->call, after.held);
     PlantState before = {nd_view_of(STATES, state->x), state->t, state->substep};
-    m_double size = {true, step_size};
+    m_double size = {true, job->second};
     PlantState done = Plant_step(&core->arena, &core->plant, &before, nd_view_of(INPUTS, after.held),
-                                 nd_view_of(DISTURBANCES, after.held + INPUTS), time + step_size, &size);
-    if (core->arena.error) return fail(call, &core->arena, DISCARD, "step");
+                                 nd_view_of(DISTURBANCES, after.held + INPUTS), job->first + job->second, &size);
+    if (core->arena.error) return fail(job->call, &core->arena, job->status, "step");
     for (int i = 0; i < STATES; i++) after.x[i] = nd_at(done.x, i);
     after.t = done.t;
     after.substep = done.substep;
-    if (!write_outputs(call, &after, after.held, DISCARD, "step")) return false;
+    if (!write_outputs(job->call, &after, after.held, job->status, "step")) return false;
     *state = after;
     return true;
 }
 
-static bool possible(const Call *call, double begin, double now) {
-    Core *core = call->core;
-    const State *state = call->state;
-    (void)begin;
-    if (!HAS_MEMORY(core->arena, core->full, core->memory)) return false;
+static bool possible_in_memory(const Job *job) {
+    Core *core = job->call->core;
+    const State *state = job->call->state;
     PlantState given = {nd_view_of(STATES, state->x), state->t, state->substep};
-    return Plant_possible(&core->arena, &core->plant, &given) && times_same_time(&core->arena, state->t, now)
+    return Plant_possible(&core->arena, &core->plant, &given) && times_same_time(&core->arena, state->t, job->second)
            && finite_numbers(state->held, HELD);
+}
+
+static bool show(const Call *call) { return IN_MEMORY(call, 0.0, 0.0, ERROR, show_in_memory); }
+
+static bool step(const Call *call, double time, double step_size) {
+    return IN_MEMORY(call, time, step_size, DISCARD, step_in_memory);
+}
+
+static bool possible(const Call *call, double begin, double now) {
+    return IN_MEMORY(call, begin, now, ERROR, possible_in_memory);
 }

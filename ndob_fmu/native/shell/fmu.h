@@ -13,7 +13,7 @@
 #include <stdint.h>
 
 /* The macros of math.h are for any type, which compilers warn of. */
-static bool finite(double number) { return fabs(number) <= DBL_MAX; }
+static bool finite_number(double number) { return fabs(number) <= DBL_MAX; }
 static bool not_a_number(double number) { return !(fabs(number) <= HUGE_VAL); }
 
 /* As FMI numbers them, in both versions. */
@@ -58,6 +58,7 @@ typedef struct {
     bool (*show)(const Call *call); /* the outputs at the start, for the inputs set so far */
     bool (*step)(const Call *call, double time, double step_size);
     bool (*possible)(const Call *call, double begin, double now); /* whether the core can be in this state */
+    void (*end)(void *core); /* release what the core has taken besides its memory; NULL where that is nothing */
 } Fmu;
 
 static const Fmu fmu;
@@ -66,6 +67,7 @@ static const Fmu fmu;
 static void say(Instance *self, Status status, const char *where, const char *expected, const char *received,
          const char *likely);
 
+static bool is_utf8(const char *text);
 /* Say a message as it stands. */
 static void tell(Instance *self, Status status, const char *message);
 

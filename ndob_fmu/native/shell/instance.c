@@ -63,6 +63,7 @@ Instance *instance_in(void *block, const char *name, Log log) {
 
 void instance_free(Instance *self) {
     states_free(self);
+    if (fmu.end) fmu.end(self->core);
     handle_free(INSTANCE_HANDLES, self->handle);
 }
 
@@ -130,7 +131,7 @@ static void show_outputs(Instance *self) {
 
 bool set_up(Instance *self, const char *function, double start, bool has_stop, double stop) {
     if (!has_stop) stop = HUGE_VAL;
-    if (!finite(start) || !(stop >= start)) {
+    if (!finite_number(start) || !(stop >= start)) {
         char received[3 * NUMBER_SIZE] = "", number[NUMBER_SIZE];
         short_number_text(start, number);
         append(received, sizeof received, number);
@@ -145,7 +146,7 @@ bool set_up(Instance *self, const char *function, double start, bool has_stop, d
         return false;
     }
     /* There are hosts that say "infinite" for "not defined". */
-    self->progress.has_stop = has_stop && finite(stop);
+    self->progress.has_stop = has_stop && finite_number(stop);
     Clock clock = {start, self->progress.has_stop ? stop : 0.0, start, 0.0};
     self->progress.clock = clock;
     self->progress.last_time = start;
@@ -215,7 +216,7 @@ bool exit_initialization(Instance *self) {
 
 static double ulp(double number) {
     double size = fabs(number);
-    return finite(size) ? nextafter(size, HUGE_VAL) - size : size;
+    return finite_number(size) ? nextafter(size, HUGE_VAL) - size : size;
 }
 
 static double tolerance(double step_size, double time) { return fmax(TIME_TOLERANCE * step_size, 4.0 * ulp(time)); }

@@ -52,15 +52,15 @@ static unsigned bits_of(size_t count, const char *const names[], const char **un
     return bits;
 }
 
+void tell(Instance *self, Status status, const char *message) { log_message(&self->log, status, message); }
+
 void say(Instance *self, Status status, const char *where, const char *expected, const char *received,
          const char *likely) {
     const char *parts[] = {where, ": expected ", expected, ", received ", received, "; likely cause: ", likely};
     char line[2 * MESSAGE_SIZE] = "";
     for (size_t i = 0; i < (*likely ? 7u : 5u); i++) append(line, sizeof line, parts[i]);
-    log_message(&self->log, status, line);
+    tell(self, status, line);
 }
-
-void tell(Instance *self, Status status, const char *message) { log_message(&self->log, status, message); }
 
 bool set_logging(Instance *self, const char *function, bool on, size_t count, const char *const names[]) {
     if (count && !names) {

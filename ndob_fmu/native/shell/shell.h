@@ -14,7 +14,6 @@ static void number_text(double number, char text[NUMBER_SIZE]);
 static void short_number_text(double number, char text[NUMBER_SIZE]);
 /* The number of bytes of the first character of UTF-8, 0 if it is invalid. */
 static size_t character(const char *text);
-static bool is_utf8(const char *text);
 /* Append to what is in `line` as much as there is room for. */
 static void append(char *line, size_t size, const char *text);
 

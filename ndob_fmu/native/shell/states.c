@@ -186,13 +186,13 @@ static bool is_flag(uint32_t value) { return value <= 1; }
 
 static bool times_fault(const Progress *progress) {
     const Clock *clock = &progress->clock;
-    if (!finite(clock->start) || !finite(clock->now) || !finite(clock->step_size)) return true;
-    if (!finite(progress->last_time) || not_a_number(clock->stop)) return true;
+    if (!finite_number(clock->start) || !finite_number(clock->now) || !finite_number(clock->step_size)) return true;
+    if (!finite_number(progress->last_time) || not_a_number(clock->stop)) return true;
     double passed = clock->now - clock->start, size = fmax(fabs(clock->now), fabs(clock->start));
     double longest = (1.0 + 1e-3) * passed + 8.0 * (nextafter(size, HUGE_VAL) - size);
     bool late = progress->has_stop && !(clock->now <= clock->stop + 1e-3 * clock->step_size + 1e-12 * size);
     bool early = progress->has_stop && !(clock->stop >= clock->start);
-    return late || early || !(passed >= 0.0) || !finite(passed) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
+    return late || early || !(passed >= 0.0) || !finite_number(passed) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
 }
 
 static bool mode_fault(const Progress *progress) {

@@ -18,7 +18,7 @@ void short_number_text(double number, char text[NUMBER_SIZE]) {
 }
 
 void number_text(double number, char text[NUMBER_SIZE]) {
-    if (!finite(number)) {
+    if (!finite_number(number)) {
         strcpy(text, not_a_number(number) ? "nan" : number > 0.0 ? "inf" : "-inf");
         return;
     }

@@ -95,7 +95,7 @@ bool texts_good(Instance *self, const char *function, const uint32_t references[
 bool acceptable(const Variable *variable, double value) {
     if (!variable->expected) return true;
     bool too_small = value < variable->least || (variable->above && value <= variable->least);
-    return finite(value) && !too_small && !(value > variable->most);
+    return finite_number(value) && !too_small && !(value > variable->most);
 }
 
 void say_unacceptable(Instance *self, uint32_t reference, Status status) {

@@ -52,6 +52,8 @@ FUNCTIONS: dict[str, Known] = {
     "np.diff": Known("nd_diff", _ONE, ARRAY),
     "np.delete": Known("nd_delete", (ARRAY, INT), ARRAY),
     "np.nextafter": Known("nextafter", (FLOAT, FLOAT), FLOAT, memory=False),
+    "math.ulp": Known("nd_ulp", (FLOAT,), FLOAT, memory=False),
+    "bisect_right": Known("nd_searchsorted_right", (NUMBERS, FLOAT), INT, memory=False),
     "math.nextafter": Known("nextafter", (FLOAT, FLOAT), FLOAT, memory=False),
     "np.tri": Known("nd_tri", (INT,), Array(BOOL)),
     "sorted": Known("nd_sorted", _ONE, NUMBERS),
@@ -65,6 +67,7 @@ FUNCTIONS: dict[str, Known] = {
 BY_HAND: dict[tuple[str, str], Known] = {
     ("ndob_fmu.runtime.numerics.kalman", "triangular"): Known("nd_triangular", _ONE, ARRAY),
     ("ndob_fmu.runtime.numerics.kalman", "_lower"): Known("nd_tri", (INT,), Array(BOOL)),
+    ("ndob_fmu.runtime.blocks.random_numbers", "uniforms"): Known("nd_uniforms", (INT, FLOAT), NUMBERS),
 }
 # What is reduced, by functions and methods of arrays.
 REDUCTIONS: dict[str, tuple[str, Kind]] = {

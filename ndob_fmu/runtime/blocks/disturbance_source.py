@@ -11,12 +11,9 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isfinite, pi, sqrt
+from math import cos, isfinite, pi, sqrt
 from stat import S_ISREG
 
-import numpy as np
-
-from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import NdobError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.random_numbers import uniforms
@@ -41,23 +38,29 @@ class Noise:
     amplitude: float
     frequency: float
     start_time: float
-    rates: Array
-    phases: Array
+    rates: tuple[float, ...]
+    phases: tuple[float, ...]
 
     def __call__(self, t: float) -> float:
         """Return d(t)."""
         tau = t - self.start_time
         if tau < 0.0:
             return 0.0
-        tones = np.cos(self.rates * tau + self.phases)
-        return self.amplitude * sqrt(2.0 / NOISE_TONES) * float(np.sum(tones))
+        total = 0.0
+        for rate, phase in zip(self.rates, self.phases, strict=True):
+            total += cos(rate * tau + phase)
+        return self.amplitude * sqrt(2.0 / NOISE_TONES) * total
 
 
 def noise(*, amplitude: float, frequency: float, start_time: float, seed: int) -> Noise:
     """Draw the tones of a noise."""
-    drawn = np.array([uniforms(seed, i)[:2] for i in range(NOISE_TONES)])
-    rates = 2.0 * pi * frequency / NOISE_TONES * (np.arange(NOISE_TONES) + drawn[:, 0])
-    return Noise(amplitude, frequency, start_time, rates, 2.0 * pi * drawn[:, 1])
+    rates: list[float] = []
+    phases: list[float] = []
+    for i in range(NOISE_TONES):
+        drawn = uniforms(seed, float(i))
+        rates.append(2.0 * pi * frequency / NOISE_TONES * (float(i) + drawn[0]))
+        phases.append(2.0 * pi * drawn[1])
+    return Noise(amplitude, frequency, start_time, tuple(rates), tuple(phases))
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,9 @@ def philox(key: tuple[int, int], counter: tuple[int, int, int, int]) -> tuple[in
     return c0, c1, c2, c3
 
 
-def uniforms(seed: int, index: int) -> tuple[float, float, float, float]:
-    """Return four independent numbers in [0, 1) for this seed and index, each a multiple of 2⁻⁵³."""
-    a, b, c, d = philox((seed & _WORD, 0), (index & _WORD, 0, 0, 0))
-    return (a >> 11) * 2.0**-53, (b >> 11) * 2.0**-53, (c >> 11) * 2.0**-53, (d >> 11) * 2.0**-53
+def uniforms(seed: int, index: float) -> tuple[float, ...]:
+    """Return four independent numbers in [0, 1) for this seed and index, an integer, each a multiple of 2⁻⁵³."""
+    return tuple((word >> 11) * 2.0**-53 for word in philox((seed & _WORD, 0), (int(index) & _WORD, 0, 0, 0)))
 
 
 def normal(first: float, second: float) -> float:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
-from ndob_fmu.runtime.blocks.sampled_measurement import SampledMeasurement, SampledState
+from ndob_fmu.runtime.blocks.sampled_measurement import SampledState, Sampling, is_possible, slack_of
 from ndob_fmu.runtime.times import same_time
 
 _SAME_TIME = 1e-6  # part of a step by which the end of a step may miss the time of a sample
 
 
 @dataclass(frozen=True)
-class Sensor(SampledMeasurement):
-    """A sampling device for any quantity, rounded to a multiple of `resolution`; 0: not rounded.
+class Sensor:
+    """A sampling device for any quantity.
 
     Samples are taken at t₀ + k sample_time, and shown at the end of the first step that ends `delay` later or after
     that. With sample_time 0 a step that ends at t shows the sample of t − delay. Neither times nor delay need be
@@ -23,43 +23,50 @@ class Sensor(SampledMeasurement):
     The points of its state are the values at the ends of steps, from the last one on that is `delay` ago.
     """
 
-    resolution: float
-
-    def rounded_to(self) -> float:
-        """Return the resolution."""
-        return self.resolution
+    sampling: Sampling
 
     def init(self, value: float, t: float) -> SampledState:
         """Return the state that shows the first sample, of the value at t."""
-        return replace(super().init(value, t), points=((t, value),))
+        return replace(self.sampling.start(value, t), times=(t,), values=(value,))
 
     def step(self, state: SampledState, value: float, t_end: float, step_size: float) -> SampledState:
         """Take the value at the end of the step, and show the last sample whose delay is over, if it is a new one."""
-        points, slack = (*state.points, (t_end, value)), self._slack(t_end, step_size)
-        at = t_end - self.delay
-        if self.sample_time > 0.0:
-            latest = max(self._latest_index(at - state.start_time, slack), state.index)
-            taken = state.start_time + latest * self.sample_time
-        else:
-            latest = state.index + (at > state.start_time + slack)
-            taken = at
-        samples = [self._sample(_value_at(points, taken), latest)] if latest > state.index else []
-        oldest = max(bisect_right(points, at, key=itemgetter(0)) - 1, 0)
-        return SampledState(state.start_time, latest, points[oldest:], *self._shown(state.good, samples))
+        sampling = self.sampling
+        times, values = [*state.times, t_end], [*state.values, value]
+        slack, at = slack_of(t_end, step_size), t_end - sampling.delay
+        latest, taken = state.index, at
+        if sampling.sample_time > 0.0:
+            latest = max(sampling.latest_index(at - state.start_time, slack), latest)
+            taken = state.start_time + latest * sampling.sample_time
+        elif at > state.start_time + slack:
+            latest = latest + 1.0
+        samples: list[float] = []
+        if latest > state.index:
+            samples.append(sampling.sample(_value_at(times, values, taken), latest))
+        oldest = max(bisect_right(times, at) - 1, 0)
+        good, shown, new = sampling.shown(state.good, samples)
+        return SampledState(state.start_time, latest, tuple(times[oldest:]), tuple(values[oldest:]), good, shown, new)
 
-    def possible_points(self, state: SampledState, t: float) -> bool:
-        """Return whether the last point is that of t, and no other than the first is older than the delay."""
-        times, at = [time for time, _ in state.points], t - self.delay
-        return bool(times) and same_time(times[-1], t) and all(time > at or same_time(time, at) for time in times[1:])
+    def possible(self, state: SampledState, t: float) -> bool:
+        """Return whether numbers in the form of a state can be one at the time t (s).
+
+        The last point is that of t, and no other than the first is older than the delay.
+        """
+        if not is_possible(state) or not state.times or not same_time(state.times[-1], t):
+            return False
+        at = t - self.sampling.delay
+        return all(time > at or same_time(time, at) for time in state.times[1:])
 
 
-def _value_at(points: tuple[tuple[float, float], ...], t: float) -> float:
-    """Return the value at t (s) on the line through the points (s, value) around it; outside of them the nearest."""
-    after = bisect_right(points, t, key=itemgetter(0))
-    if after in (0, len(points)):
-        return points[max(after - 1, 0)][1]
-    (begin, first), (end, second) = points[after - 1 : after + 1]
+def _value_at(times: Sequence[float], values: Sequence[float], t: float) -> float:
+    """Return the value at t (s) on the line through the points around it; outside of them the nearest."""
+    after = bisect_right(times, t)
+    if after in (0, len(times)):
+        return values[max(after - 1, 0)]
+    begin, end = times[after - 1], times[after]
     share = (t - begin) / (end - begin)
     if share <= _SAME_TIME:
-        return first
-    return second if share >= 1.0 - _SAME_TIME else (1.0 - share) * first + share * second
+        return values[after - 1]
+    if share >= 1.0 - _SAME_TIME:
+        return values[after]
+    return (1.0 - share) * values[after - 1] + share * values[after]

@@ -1,0 +1,40 @@
+"""A component's C text put together: what is written by hand around functions that are translated from the runtime."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ndob_fmu.interface.variables import Variable
+from ndob_fmu.native.join import joined
+from ndob_fmu.native.sources import ComponentCode
+from ndob_fmu.native.translate.print_c import translate
+
+_HERE = Path(__file__).parent
+_ARRAYS = ("nd.h", "nd.c", "nd_linear.c", "nd_random.c")
+
+
+def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
+    """Return a component made of its own texts, of functions of the runtime, by module, and of the arrays."""
+    modules = {f"ndob_fmu.runtime.{module}": names for module, names in wanted.items()}
+    only = [f"{module}.{name}" for module, names in modules.items() for name in names]
+    translation = translate(list(modules), "translated", only=only)
+    missing = [f"{name}: {why}" for name, why in translation.refused.items() if name in only]
+    if missing:
+        raise ValueError(f"functions that do not translate: {missing[0]}")
+    arrays = [(_HERE / "c" / name).read_text("utf-8") for name in _ARRAYS]
+    has_end = any(re.search(r"(?m)^static void end\(", text) for text in own)
+    text = joined([*arrays, translation.header, translation.source, *own], "start show step possible end")
+    return ComponentCode(text, has_end)
+
+
+def part(name: str) -> str:
+    """Return a file of the folder `component`."""
+    return (_HERE / "component" / name).read_text("utf-8")
+
+
+def places(variables: Sequence[Variable]) -> str:
+    """Return the value references of variables in C, as AT_<name>; a dot of a name is an underscore."""
+    entries = ", ".join(f"AT_{re.sub(r'[^0-9A-Za-z_]', '_', v.name)} = {i}" for i, v in enumerate(variables))
+    return f"enum {{ {entries} }};\n"
