@@ -26,6 +26,7 @@ from ndob_fmu.native.translate.kinds import c_type, is_nd, is_numbers
 from ndob_fmu.native.translate.print_c import Translation
 from ndob_fmu.native.translate.program import Definition
 from ndob_fmu.runtime import base_errors
+from ndob_fmu.runtime.memo import SharedResults
 
 SOURCES = Path(__file__).parents[2] / "ndob_fmu" / "native" / "c"
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
@@ -377,6 +378,16 @@ class Recorder:
         elif event == "return" and id(frame) in self._open:
             _, given = self._open.pop(id(frame))
             self.calls[where].append(Recorded(given, copied(argument)))
+
+
+def forget_results(definitions: Sequence[Definition]) -> None:
+    """Empty all caches, so that runs call what others have called before."""
+    for module in {one.module.name: one.module.live for one in definitions}.values():
+        for value in vars(module).values():
+            if isinstance(value, SharedResults):
+                value._answer.cache_clear()
+            elif hasattr(value, "cache_clear"):
+                value.cache_clear()
 
 
 def copied(value: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ndob_fmu.native.translate.print_c import translate
-from tests.helpers.translated import Library, Recorder
+from tests.helpers.translated import Library, Recorder, forget_results
 from tests.native.runs import RUNS
 from tests.native.scope import MODULES
 
@@ -22,6 +22,7 @@ def library(translation, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def recorded(translation):
+    forget_results(translation.definitions)
     recorder = Recorder(translation.definitions)
     for run in RUNS:
         with recorder.running():

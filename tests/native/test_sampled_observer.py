@@ -50,7 +50,7 @@ int first_state(double *state) {
     (void)write_SampledObserverState(state, &observer.shape);
     return (int)sampled_state_size(&observer, state);
 }
-int advance(double *state, const double *u, const double *y, double step, double *outputs) {
+int advance_by(double *state, const double *u, const double *y, double step, double *outputs) {
     return sampled_step(&observer, state, nd_view_of(observer.equations.inputs.n, u),
                         nd_view_of(observer.equations.outputs.n, y), step, outputs);
 }
@@ -101,7 +101,7 @@ class Native:
 
     def step(self, u, y, H):
         u, y = (ctypes.c_double * len(u))(*u), (ctypes.c_double * len(y))(*y)
-        self.error(self.library.advance(self.state, u, y, ctypes.c_double(H), self.outputs))
+        self.error(self.library.advance_by(self.state, u, y, ctypes.c_double(H), self.outputs))
         return np.array(self.outputs[:])
 
 

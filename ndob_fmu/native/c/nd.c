@@ -199,7 +199,8 @@ nd nd_copy(nd_arena *a, nd x) {
     nd r;
     if (x.rank < 0) return x;
     r = nd_new(a, x.rank, x.n);
-    nd_put(r, x);
+    if (is_compact(x)) memcpy(r.p, x.p, sizeof(double) * (size_t)nd_size(x));
+    else nd_put(r, x);
     return r;
 }
 
@@ -282,7 +283,13 @@ nd nd_reversed(nd x) {
 nd nd_row(nd x, int i) { return nd_get(x, 1, (nd_ix[]){{ND_AT, i, 0}}); }
 
 void nd_put(nd x, nd value) {
-    shape4 o = shape_of(x);
+    shape4 o;
+    if (x.rank == 2 && value.rank == 2 && x.s[1] == 1 && value.s[1] == 1 && value.n[0] == x.n[0] && value.n[1] == x.n[1]) {
+        for (int i = 0; i < x.n[0]; i++)
+            memmove(x.p + i * x.s[0], value.p + i * value.s[0], sizeof(double) * (size_t)x.n[1]);
+        return;
+    }
+    o = shape_of(x);
     int sx[ND_RANK], sv[ND_RANK];
     strides_over(x, &o, sx);
     strides_over(value, &o, sv);
@@ -523,8 +530,20 @@ static void binary_row(int op, int n, double *r, const double *x, int sx, const 
     }
 }
 
+static bool same_shape(nd x, nd y) {
+    if (x.rank != y.rank) return false;
+    for (int i = 0; i < x.rank; i++)
+        if (x.n[i] != y.n[i]) return false;
+    return true;
+}
+
 nd nd_binary(nd_arena *a, int op, nd x, nd y) {
     nd r = x.rank >= y.rank ? x : y;
+    if ((x.rank == 0 || is_compact(x)) && (y.rank == 0 || is_compact(y)) && (x.rank == 0 || y.rank == 0 || same_shape(x, y))) {
+        r = nd_new(a, r.rank, r.n);
+        binary_row(op, nd_size(r), r.p, x.p, x.rank > 0, y.p, y.rank > 0);
+        return r;
+    }
     shape4 sx4 = shape_of(x), sy4 = shape_of(y), o;
     int sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
     for (int i = 0; i < ND_RANK; i++) o.n[i] = sx4.n[i] == 1 ? sy4.n[i] : sx4.n[i];
@@ -702,33 +721,36 @@ bool nd_equal(nd x, nd y) {
 
 /* -- products */
 
-static void multiply(nd r, nd x, nd y) {
-    int inner = x.n[1];
-    for (int i = 0; i < r.n[0]; i++) {
-        double *to = r.p + i * r.s[0];
-        for (int j = 0; j < r.n[1]; j++) to[j * r.s[1]] = 0.0;
+/* r (rows,columns) in one piece = x (rows,inner) y (inner,columns), for the strides of rows and columns. */
+static void multiply(double *r, int rows, int inner, int columns, const double *x, const int *sx, const double *y,
+                     const int *sy) {
+    for (int i = 0; i < rows; i++, r += columns, x += sx[0]) {
+        for (int j = 0; j < columns; j++) r[j] = 0.0;
         for (int k = 0; k < inner; k++) {
-            double u = x.p[i * x.s[0] + k * x.s[1]];
-            const double *from = y.p + k * y.s[0];
-            if (r.s[1] == 1 && y.s[1] == 1)
-                for (int j = 0; j < r.n[1]; j++) to[j] += u * from[j];
+            double u = x[k * sx[1]];
+            const double *from = y + k * sy[0];
+            if (sy[1] == 1)
+                for (int j = 0; j < columns; j++) r[j] += u * from[j];
             else
-                for (int j = 0; j < r.n[1]; j++) to[j * r.s[1]] += u * from[j * y.s[1]];
+                for (int j = 0; j < columns; j++) r[j] += u * from[j * sy[1]];
         }
     }
 }
 
 nd nd_matmul(nd_arena *a, nd x, nd y) {
     nd left = as_row(x), right = as_column(y), r;
-    if (left.rank == 3 || right.rank == 3) {
-        int count = left.rank == 3 ? left.n[0] : right.n[0];
-        r = nd_new(a, 3, (int[]){count, left.n[left.rank - 2], right.n[right.rank - 1]});
+    int lm = left.rank - 2, rm = right.rank - 2; /* 1 with a batch of matrices */
+    int rows = left.n[lm], inner = left.n[lm + 1], columns = right.n[rm + 1];
+    if (lm || rm) {
+        int count = lm ? left.n[0] : right.n[0];
+        r = nd_new(a, 3, (int[]){count, rows, columns});
         for (int i = 0; i < count; i++)
-            multiply(nd_row(r, i), left.rank == 3 ? nd_row(left, i) : left, right.rank == 3 ? nd_row(right, i) : right);
+            multiply(r.p + i * rows * columns, rows, inner, columns, left.p + (lm ? i * left.s[0] : 0), left.s + lm,
+                     right.p + (rm ? i * right.s[0] : 0), right.s + rm);
         return r;
     }
-    r = nd_new(a, 2, (int[]){left.n[0], right.n[1]});
-    multiply(r, left, right);
+    r = nd_new(a, 2, (int[]){rows, columns});
+    multiply(r.p, rows, inner, columns, left.p, left.s, right.p, right.s);
     if (y.rank == 1) r.rank--;
     else if (x.rank == 1) r.rank--, r.n[0] = r.n[1], r.s[0] = 1;
     if (x.rank == 1 && y.rank == 1) r.rank = 0;
@@ -744,8 +766,16 @@ nd nd_tensordot1(nd_arena *a, nd x, nd y) {
 }
 
 nd nd_rhk_hkj(nd_arena *a, nd x, nd y) {
-    nd r = nd_new(a, 3, (int[]){x.n[0], x.n[1], y.n[2]});
-    for (int h = 0; h < x.n[1]; h++) multiply(slot(r, 1, h), slot(x, 1, h), nd_row(y, h));
+    int rows = x.n[0], count = x.n[1], inner = x.n[2], columns = y.n[2];
+    nd r = nd_full(a, 3, (int[]){rows, count, columns}, 0.0);
+    double *to = r.p;
+    for (int i = 0; i < rows; i++)
+        for (int h = 0; h < count; h++, to += columns)
+            for (int k = 0; k < inner; k++) {
+                double u = x.p[i * x.s[0] + h * x.s[1] + k * x.s[2]];
+                const double *from = y.p + h * y.s[0] + k * y.s[1];
+                for (int j = 0; j < columns; j++) to[j] += u * from[j * y.s[2]];
+            }
     return r;
 }
 
