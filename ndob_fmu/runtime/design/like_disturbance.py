@@ -30,7 +30,7 @@ def act_as_disturbance(
     n, q = len(equations.states), len(equations.disturbances)
     act: Array = np.ones(len(which))
     for point in range(_POINTS):
-        near_x = [value + size[i] * _share(point, i) for i, value in enumerate(x)]
+        near_x = [value + float(size[i]) * _share(point, i) for i, value in enumerate(x)]
         near_u = [value + _share(point, n + i) for i, value in enumerate(u)]
         d = [_share(point, n + len(u) + i) for i in range(q)]
         try:
