@@ -184,6 +184,8 @@ class Expressions:
             return Value(self.as_array(value, node), kind, fresh=is_number(value.kind))
         if isinstance(kind, Listing) and isinstance(value.kind, Listing) and c_type(kind) == c_type(value.kind):
             return Value(value.text, kind, value.fresh)
+        if is_numbers(kind) and isinstance(value.kind, Listing) and is_nd(value.kind.element):
+            return Value(self.as_array(value, node), kind, fresh=True)  # mypy knows that the entries are numbers
         if isinstance(kind, Pack) and isinstance(value.kind, Pack) and len(kind.elements) == len(value.kind.elements):
             value = self.held(value)
             items = [Value(f"{value.text}.v{i}", own) for i, own in enumerate(elements_of(value.kind))]
