@@ -8,6 +8,7 @@ the front does is lost.
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import platform
@@ -27,6 +28,7 @@ import numpy as np
 from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.rules_header import NAME, ROLE_LETTERS, rules_header
 from ndob_fmu.interface.fmi_rules import role
+from ndob_fmu.support.kept_files import keep, kept
 from ndob_fmu.support.temporary import temporary_folder
 
 _log = logging.getLogger(__name__)
@@ -102,6 +104,8 @@ WINDOWS = Platform(
 )
 # What was compiled in this process, by platform and wished compiler.
 _compiled: dict[tuple[Platform, str], bytes | None] = {}
+# Variables that change what gcc and clang find.
+_READ_BY_COMPILERS = ("PATH", "CPATH", "C_INCLUDE_PATH", "LIBRARY_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX")
 _TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B", "String": "S"}
 
 
@@ -164,7 +168,7 @@ def write_rules(folder: Path) -> Path:
 def compiled(targets: Sequence[Platform]) -> list[bytes | None]:
     """Return the front's binary for each platform; None, with a warning, where it cannot be compiled.
 
-    The compilers run at once, and once per process.
+    The compilers run at once. What they made before, from the same sources, is taken from the user's cache folder.
     """
     wished = [(target, os.environ.get(target.variable, "")) for target in targets]
     with ExitStack() as running:
@@ -187,6 +191,11 @@ def _compiling(target: Platform, wish: str) -> Iterator[Callable[[], bytes | Non
         _log.warning(target.lost, f"expected a C compiler, received {tried}")
         yield lambda: None
         return
+    key = _key(target, compiler)
+    known = kept(key)
+    if known is not None:
+        yield lambda: known
+        return
     with temporary_folder() as work:
         binary = Path(work, f"front{target.suffix}")
         include = ["-I", str(HEADERS), "-I", str(write_rules(Path(work)))]
@@ -204,7 +213,8 @@ def _compiling(target: Platform, wish: str) -> Iterator[Callable[[], bytes | Non
             def finished() -> bytes | None:
                 _, text = process.communicate()
                 if process.returncode == 0 and binary.exists():
-                    return binary.read_bytes()
+                    keep(key, found := binary.read_bytes())
+                    return found
                 said = next((line for line in text.splitlines() if "error" in line), f"exit code {process.returncode}")
                 _log.warning(target.lost, f"expected {compiler[0]} to compile it, received {said}")
                 return None
@@ -213,3 +223,16 @@ def _compiling(target: Platform, wish: str) -> Iterator[Callable[[], bytes | Non
                 yield finished
             finally:
                 process.kill()
+
+
+def _key(target: Platform, compiler: Sequence[str]) -> str:
+    """Return a digest of what a front is made from: sources, headers, command, and the compiler by its file."""
+    whole = hashlib.sha256(rules_header().encode())
+    for folder in (*(SOURCES / name for name in FOLDERS), HEADERS):
+        for path in sorted(folder.glob("*.[ch]")):
+            whole.update(f"\0{path.name}\0".encode() + path.read_bytes())
+    programs = [Path(found).resolve() for word in compiler if (found := shutil.which(word))]
+    files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in programs]
+    environment = [os.environ.get(name) for name in _READ_BY_COMPILERS]
+    whole.update(repr((target, _FLAGS, compiler, files, environment)).encode())
+    return f"front-{whole.hexdigest()}"

@@ -27,8 +27,9 @@ pytestmark = FRONT
 
 
 @pytest.fixture
-def fresh_compiler(monkeypatch):
-    """Forget what was compiled in this process, and afterwards what this test made."""
+def fresh_compiler(monkeypatch, tmp_path):
+    """Forget what was compiled, in this process and before, and afterwards what this test made."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     front.forget_compiled()
     yield monkeypatch
     front.forget_compiled()
@@ -117,6 +118,7 @@ def test_sources_in_another_folder_and_another_temporary_folder_give_the_same_by
     headers = tmp_path / "headers"
     shutil.copytree(front.HEADERS, headers)
     front.forget_compiled()
+    fresh_compiler.setenv("XDG_CACHE_HOME", str(tmp_path / "another cache"))
     fresh_compiler.setattr(front, "SOURCES", moved)
     fresh_compiler.setattr(front, "HEADERS", headers)
     fresh_compiler.setattr("tempfile.tempdir", str(tmp_path))
@@ -124,6 +126,51 @@ def test_sources_in_another_folder_and_another_temporary_folder_give_the_same_by
     assert before is not None
     for name in (front.SOURCES, headers, Path.home(), tmp_path):
         assert str(name).encode() not in before
+
+
+def test_what_was_compiled_before_is_kept_for_other_processes(fresh_compiler):
+    before = front.compiled([front.LINUX])
+    front.forget_compiled()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delattr("subprocess.Popen")
+        assert front.compiled([front.LINUX]) == before
+
+
+def test_what_is_damaged_in_the_cache_is_compiled_again(fresh_compiler, tmp_path):
+    before = front.compiled([front.LINUX])
+    (kept,) = (tmp_path / "cache" / "ndob-fmu").iterdir()
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:-1])
+    front.forget_compiled()
+    assert front.compiled([front.LINUX]) == before
+    assert kept.read_bytes() == whole
+
+
+def test_other_sources_and_another_compiler_have_a_front_of_their_own(fresh_compiler, tmp_path):
+    compiler = tmp_path / "cc"
+    compiler.write_text(f'#!/bin/sh\nexec {COMPILERS[0]} "$@"\n')
+    compiler.chmod(0o755)
+    front.compiled([front.LINUX])
+    changed = tmp_path / "changed"
+    for folder in front.FOLDERS:
+        shutil.copytree(front.SOURCES / folder, changed / folder)
+    with (changed / "shell" / "log.c").open("a") as source:
+        source.write("/* changed */\n")
+    front.forget_compiled()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(front, "SOURCES", changed)
+        assert front.compiled([front.LINUX]) != [None]
+    front.forget_compiled()
+    fresh_compiler.setenv("CC", str(compiler))
+    assert front.compiled([front.LINUX]) != [None]
+    assert len(list((tmp_path / "cache" / "ndob-fmu").iterdir())) == 3
+
+
+def test_where_no_cache_can_be_written_the_front_is_compiled_without_a_word(fresh_compiler, tmp_path, caplog):
+    (tmp_path / "file").write_text("")
+    fresh_compiler.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert front.compiled([front.LINUX]) != [None]
+    assert caplog.text == ""
 
 
 def test_the_binary_asks_the_loader_for_no_python_and_shows_nothing_but_fmi(flexible_joint, tmp_path):
