@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.native.translate import kinds
-from ndob_fmu.native.translate.expressions import c_name
+from ndob_fmu.native.translate.conversions import c_name
 from ndob_fmu.native.translate.kinds import c_type, is_nd, is_numbers
 from ndob_fmu.native.translate.print_c import Translation
 from ndob_fmu.native.translate.program import Definition

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ndob_fmu.native.translate.calls import Calls
-from ndob_fmu.native.translate.expressions import Value, entry
+from ndob_fmu.native.translate.conversions import Value, entry
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ndob_fmu.native.translate.expressions import c_name
+from ndob_fmu.native.translate.conversions import c_name
+from ndob_fmu.native.translate.functions import Writer
 from ndob_fmu.native.translate.kinds import (
     NOTHING,
     TEXT,
@@ -28,8 +29,8 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.program import Definition, Program
 from ndob_fmu.native.translate.refusal import RefusedError
-from ndob_fmu.native.translate.statements import World, Writer
 from ndob_fmu.native.translate.storage import copy_heads, movers, storage
+from ndob_fmu.native.translate.world import World
 
 _PREDEFINED = ("nd", "nd_two", "nd_three", "nd_list", "nd_names", "nd_slice")
 

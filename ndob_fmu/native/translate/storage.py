@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ndob_fmu.native.translate.expressions import c_name
+from ndob_fmu.native.translate.conversions import c_name
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -33,7 +33,7 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.program import Program
 from ndob_fmu.native.translate.refusal import RefusedError
-from ndob_fmu.native.translate.statements import holds_memory, keeper
+from ndob_fmu.native.translate.world import holds_memory, keeper
 
 
 def movers(program: Program, kinds: Sequence[Kind], body: str, copied: Sequence[str]) -> list[str]:

@@ -1,0 +1,344 @@
+"""Values of translated expressions, and how one type becomes another."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ndob_fmu.native.translate.kinds import (
+    ARRAY,
+    BOOL,
+    FLOAT,
+    INT,
+    NOTHING,
+    NUMBERS,
+    TEXT,
+    Array,
+    ComplexArray,
+    Function,
+    Kind,
+    Listing,
+    Maybe,
+    Pack,
+    Simple,
+    Structure,
+    Table,
+    Unknown,
+    by_pointer,
+    c_type,
+    elements_of,
+    is_nd,
+    is_number,
+    is_numbers,
+)
+from ndob_fmu.native.translate.program import Class, Definition, Module, Program
+from ndob_fmu.native.translate.refusal import RefusedError, refused
+
+_RESERVED = {"auto", "break", "case", "char", "const", "default", "do", "double", "enum", "extern", "float", "goto"}
+
+
+_RESERVED |= {"inline", "int", "long", "register", "short", "signed", "sizeof", "static", "struct", "switch", "union"}
+
+
+_RESERVED |= {"typedef", "unsigned", "void", "volatile", "arena", "nd", "env", "bool", "true", "false", "exp", "log"}
+
+
+@dataclass(frozen=True)
+class Value:
+    """An expression in C.
+
+    fresh: whether its array belongs to this function alone
+    parts: of an item of several iterations at once, which only a tuple of names takes apart
+    """
+
+    text: str
+    kind: Kind
+    fresh: bool = False
+    parts: tuple[Value, ...] = ()
+
+
+def c_name(name: str) -> str:
+    """Return the name of a variable in C."""
+    return f"{name}_" if name in _RESERVED or name.startswith("_") else name
+
+
+def number_text(value: float) -> str:
+    """Return a constant with all its digits."""
+    if np.isnan(value):
+        return "NAN"
+    if np.isinf(value):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    return repr(float(value)) if value >= 0 and not np.signbit(value) else f"({float(value)!r})"
+
+
+def entry(text: str, kind: Kind) -> Value:
+    """Return an entry of an array, which is stored as float, as a number of its type."""
+    return Value(f"(int){text}" if kind == INT else f"({text} != 0.0)" if kind == BOOL else text, kind)
+
+
+class Conversions:
+    """The part of a function's writer that converts values."""
+
+    program: Program
+    module: Module
+    variables: dict[str, Kind]
+    local: dict[str, Any]
+    closures: dict[str, Any]
+
+    # -- of the other parts
+    line: Callable[[str], None]
+    temporary: Callable[[Kind], str]
+    use: Callable[[Kind], None]
+    call: Callable[[ast.Call, Kind | None], Value]
+    call_method: Callable[..., Value]
+    comprehension: Callable[..., Value]
+    closure_value: Callable[..., Value]
+    function_value: Callable[..., Value]
+    set_aside: Callable[..., list[str]]
+    read_variable: Callable[[ast.Name], None]
+    check: Callable[[], None]
+    need: Callable[[Definition], None]
+    fails: Callable[[Definition], bool]
+    called: Callable[..., Value]
+    loop_value: Callable[[ast.Call, str], Value]
+    expression: Callable[..., Value]
+    kind_if_known: Callable[[ast.expr], Kind | None]
+    conditions: Callable[[ast.BoolOp], str]
+    indices: Callable[[ast.expr], str]
+    found: Callable[[Value, Value], str]
+
+    def no(self, node: ast.AST, expected: str, received: str | None = None) -> RefusedError:
+        """Return the refusal of a node."""
+        return refused(self.module.file, node, expected, received if received is not None else ast.unparse(node))
+
+    def held(self, value: Value) -> Value:
+        """Return a value as a variable, so that it is evaluated once and here."""
+        if value.text.isidentifier():
+            return value
+        name = self.temporary(value.kind)
+        self.line(f"{name} = {value.text};")
+        return Value(name, value.kind, value.fresh)
+
+    def certain(self, value: Value) -> Value:
+        """Return a value that may be None as one that is not."""
+        if not isinstance(value.kind, Maybe):
+            return value
+        text = value.text if is_nd(value.kind) else f"{value.text}.value"
+        return Value(text, value.kind.value)
+
+    def number(self, node: ast.expr, kind: Simple = FLOAT) -> str:
+        """Return an expression as a number of a type."""
+        return self.as_number(self.expression(node, kind), kind, node)
+
+    def as_number(self, value: Value, kind: Simple, node: ast.AST) -> str:
+        """Return a value as a number of a type."""
+        value = self.certain(value)
+        if isinstance(value.kind, Array):
+            text = f"nd_item({value.text})"
+            return text if kind == FLOAT else f"(int){text}" if kind == INT else f"({text} != 0.0)"
+        if not is_number(value.kind):
+            raise self.no(node, "a number", f"{ast.unparse(node)} of type {value.kind}")
+        if value.kind == kind:
+            return value.text
+        if kind == BOOL:
+            return f"({value.text} != 0)" if value.kind == INT else f"({value.text} != 0.0)"
+        if kind == INT and value.kind == FLOAT:
+            raise self.no(node, "an integer")
+        return f"(double)({value.text})" if kind == FLOAT else f"(int)({value.text})"
+
+    def array(self, node: ast.expr) -> str:
+        """Return an expression as an array."""
+        return self.as_array(self.expression(node), node)
+
+    def as_array(self, value: Value, node: ast.AST) -> str:
+        """Return a value as an array."""
+        value = self.certain(value)
+        if is_nd(value.kind):
+            return value.text
+        if is_number(value.kind):
+            return f"nd_scalar(arena, {self.as_number(value, FLOAT, node)})"
+        if isinstance(value.kind, Listing) and is_nd(value.kind.element):
+            value = self.held(value)
+            return f"nd_stack(arena, {value.text}.n, {value.text}.p)"
+        raise self.no(node, "an array", f"{ast.unparse(node)} of type {value.kind}")
+
+    def coerced(self, value: Value, kind: Kind, node: ast.AST) -> Value:
+        """Return a value as one of a type."""
+        if value.kind == kind or (is_nd(value.kind) and is_nd(kind)):
+            return Value(value.text, kind, value.fresh)
+        if isinstance(kind, Maybe):
+            return self._maybe(value, kind, node)
+        value = self.certain(value)
+        if value.kind == kind or (is_nd(value.kind) and is_nd(kind)):
+            return Value(value.text, kind, value.fresh)
+        if isinstance(kind, Simple) and is_number(kind):
+            return Value(self.as_number(value, kind, node), kind)
+        if isinstance(kind, Array):
+            return Value(self.as_array(value, node), kind, fresh=is_number(value.kind))
+        if isinstance(kind, Listing) and isinstance(value.kind, Listing) and c_type(kind) == c_type(value.kind):
+            return Value(value.text, kind, value.fresh)
+        if is_numbers(kind) and isinstance(value.kind, Listing) and is_nd(value.kind.element):
+            return Value(self.as_array(value, node), kind, fresh=True)  # mypy knows that the entries are numbers
+        if isinstance(kind, Pack) and isinstance(value.kind, Pack) and len(kind.elements) == len(value.kind.elements):
+            value = self.held(value)
+            items = [Value(f"{value.text}.v{i}", own) for i, own in enumerate(elements_of(value.kind))]
+            return self.packed(items, kind, node)
+        if isinstance(kind, Listing) and isinstance(value.kind, Pack):
+            value = self.held(value)
+            items = [Value(f"{value.text}.v{i}", own) for i, own in enumerate(elements_of(value.kind))]
+            return self.listed(items, kind, node)
+        if isinstance(kind, Function) and isinstance(value.kind, Function) and c_type(kind) == c_type(value.kind):
+            return Value(value.text, kind)
+        raise self.no(node, f"a value of type {kind}", f"{ast.unparse(node)} of type {value.kind}")
+
+    def _maybe(self, value: Value, kind: Maybe, node: ast.AST) -> Value:
+        if value.kind == NOTHING:
+            if is_nd(kind):
+                return Value("nd_none", kind)
+            name = self.temporary(kind)
+            self.line(f"memset(&{name}, 0, sizeof {name});")
+            return Value(name, kind)
+        inner = self.coerced(value, kind.value, node)
+        if is_nd(kind):
+            return Value(inner.text, kind, inner.fresh)
+        name = self.temporary(kind)
+        self.line(f"{name}.some = true;")
+        self.line(f"{name}.value = {inner.text};")
+        return Value(name, kind)
+
+    def packed(self, items: list[Value], kind: Pack, node: ast.AST) -> Value:
+        """Return a tuple of fixed length."""
+        texts = [self.coerced(item, own, node).text for item, own in zip(items, kind.elements, strict=True)]
+        name = self.temporary(kind)
+        for i, text in enumerate(texts):
+            self.line(f"{name}.v{i} = {text};")
+        return Value(name, kind, fresh=all(item.fresh for item in items))
+
+    def listed(self, items: list[Value], kind: Listing, node: ast.AST) -> Value:
+        """Return a list of these items."""
+        name = self.temporary(kind)
+        if is_numbers(kind):
+            texts = [self.as_number(item, FLOAT, node) for item in items]
+            self.line(f"{name} = nd_new(arena, 1, (int[]){{{len(items)}}});")
+            for i, text in enumerate(texts):
+                self.line(f"{name}.p[{i}] = {text};")
+        else:
+            texts = [self.coerced(item, kind.element, node).text for item in items]
+            self.line(f"{name}.n = {len(items)};")
+            own = c_type(kind.element)
+            self.line(f"{name}.p = nd_take_bytes(arena, sizeof({own}) * {max(len(items), 1)});")
+            for i, text in enumerate(texts):
+                self.line(f"{name}.p[{i}] = {text};")
+        return Value(name, kind, fresh=True)
+
+    def address(self, value: Value) -> str:
+        """Return the address of a structure."""
+        text = value.text
+        return text[2:-1] if text.startswith("(*") and text.endswith(")") else f"&{text}"
+
+    def argument(self, node: ast.expr, kind: Kind) -> str:
+        """Return an expression as the argument of a function of C."""
+        value = self.coerced(self.expression(node, kind), kind, node)
+        return self.address(self.held_structure(value)) if by_pointer(kind) else value.text
+
+    def held_structure(self, value: Value) -> Value:
+        """Return a structure as something that has an address."""
+        plain = (
+            value.text.replace("(*", "")
+            .replace(")", "")
+            .replace(".", "")
+            .replace("[", "")
+            .replace("]", "")
+            .replace("->", "")
+        )
+        return value if plain.isidentifier() else self.held(value)
+
+    def truth(self, node: ast.expr) -> str:
+        """Return an expression as a condition."""
+        if isinstance(node, ast.BoolOp):
+            return self.conditions(node)
+        value = self.expression(node)
+        if isinstance(value.kind, Maybe) and is_nd(value.kind):
+            raise self.no(node, "a condition")
+        return self.as_truth(value, node)
+
+    def as_truth(self, value: Value, node: ast.AST) -> str:
+        """Return a value as a condition, as Python judges it."""
+        if is_number(value.kind):
+            return self.as_number(value, BOOL, node)
+        if isinstance(value.kind, Array):
+            return f"(nd_item({value.text}) != 0.0)"
+        if isinstance(value.kind, Table):
+            return f"({value.text}.n != 0)"
+        if isinstance(value.kind, Listing):
+            return f"({self.length(value, node)} != 0)"
+        raise self.no(node, "a condition", f"{ast.unparse(node)} of type {value.kind}")
+
+    def length(self, value: Value, node: ast.AST) -> str:
+        """Return the length of a value."""
+        value = self.certain(value)
+        if is_nd(value.kind):
+            return f"nd_len({value.text})"
+        if isinstance(value.kind, Listing):
+            return f"{value.text}.n"
+        if isinstance(value.kind, Pack):
+            return str(len(value.kind.elements))
+        raise self.no(node, "something that has a length")
+
+    def literal(self, value: Any, node: ast.AST) -> Value:
+        """Return a constant of Python, or of NumPy."""
+        if value is None:
+            return Value("nd_none", NOTHING)
+        if isinstance(value, (bool, np.bool_)):
+            return Value("true" if value else "false", BOOL)
+        if isinstance(value, (int, np.integer)):
+            return Value(f"{value}" if value >= 0 else f"({value})", INT)
+        if isinstance(value, (float, np.floating)):
+            return Value(number_text(float(value)), FLOAT)
+        if isinstance(value, str):
+            return Value('"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"', TEXT)
+        if isinstance(value, np.ndarray) and value.ndim <= 4:
+            return self._constant_array(value)
+        if isinstance(value, (tuple, list)):
+            items = [self.literal(item, node) for item in value]
+            kinds = {item.kind for item in items}
+            if len(kinds) == 1:
+                return self.listed(items, Listing(kinds.pop()), node)
+            if kinds <= {FLOAT, INT, BOOL}:
+                return self.listed(items, NUMBERS, node)
+            return self.packed(items, Pack(tuple(item.kind for item in items)), node)
+        raise self.no(node, "a constant number, array or tuple", repr(type(value)))
+
+    def _instance(self, value: Any, known: Class, node: ast.AST) -> Value:
+        """Return a constant that is a dataclass or a named tuple."""
+        kind = Structure(known.name)
+        name = self.temporary(kind)
+        for one in known.fields.values():
+            if not isinstance(one.kind, Unknown):
+                field = self.coerced(self.literal(getattr(value, one.name), node), one.kind, node)
+                self.line(f"{name}.{c_name(one.name)} = {field.text};")
+        return Value(name, kind)
+
+    def _constant_array(self, value: np.ndarray[Any, Any]) -> Value:
+        flat = ", ".join(number_text(float(entry)) for entry in value.ravel()) or "0.0"
+        vector = f"nd_vector(arena, {value.size}, (const double[]){{{flat}}})"
+        if value.ndim != 1:
+            lengths = ", ".join(map(str, value.shape))
+            vector = f"nd_reshape(arena, {vector}, {value.ndim}, (int[]){{{lengths or 1}}})"
+        element = {"b": BOOL, "i": INT}.get(value.dtype.kind, FLOAT)
+        return Value(vector, Array(element), fresh=True)
+
+    def parts_of(self, value: Value) -> list[Value]:
+        """Return the real and the imaginary part of complex numbers."""
+        value = self.held(value)
+        return [Value(f"{value.text}.v0", ARRAY), Value(f"{value.text}.v1", ARRAY)]
+
+    def _complex(self, parts: list[Value]) -> Value:
+        name = self.temporary(ComplexArray())
+        for i, part in enumerate(parts):
+            self.line(f"{name}.v{i} = {part.text};")
+        return Value(name, ComplexArray())
