@@ -275,6 +275,25 @@ def test_parameters_that_act_in_the_directions_of_the_disturbance_alone_are_foun
     assert not estimated.like_disturbance.any()
 
 
+def test_a_parameter_that_acts_as_two_disturbances_at_once_is_none_of_them():
+    model = Model(
+        name="Raft",
+        states=["east", "north"],
+        outputs=["east", "north"],
+        inputs=["thrust"],
+        disturbances=["wind_east", "wind_north"],
+        dynamics=lambda x, u, d, p: [
+            (u.thrust - p.drag * x.east + d.wind_east) / p.mass,
+            (u.thrust - 2.0 * p.drag * x.north + d.wind_north - p.keel * x.north) / p.mass,
+        ],
+        parameters={"mass": 2.0, "drag": 0.5, "keel": 0.3},
+        parameter_std=0.1,
+    )
+    eq = compile_model(model)
+    observer = tune(sampled_observer(eq, model.parameter_values(), x_hat=eq.xhat0), 1e-2).model
+    assert observer.like_disturbance.tolist() == [0.0, 0.0, 1.0]
+
+
 def test_the_estimate_stays_smooth_where_wrong_parameters_exceed_the_bound_of_the_disturbance():
     """The drive's gain is told 40 % too small, ± 40 %: that is four times the bound."""
     model = Model(

@@ -2,7 +2,8 @@
 
 Where ẋ = F + G_d (d + W θ̃), the observer estimates δ = d + W θ̃ in place of d. So θ̃ moves neither ξ̂ nor its covariance,
 but widens the error bar of d̂, by W P_θ Wᵀ. With θ̃ in the covariance, a filter that must not correct θ̂ would correct d̂
-at each sample for what this sample says of θ̃, and go back at the next one.
+at each sample for what this sample says of θ̃, and go back at the next one. A parameter that acts as several
+disturbances at once stays there: they tell of it together.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ _ROUNDING = 1e-9
 def act_as_disturbance(
     equations: Equations, parameters: Vector, which: Sequence[int], x: Vector, u: Vector, size: Array
 ) -> Array:
-    """Return 1 for each of these parameters (k,) that acts in the directions of d alone and in no output, else 0.
+    """Return 1 for each of these parameters (k,) that acts as one of the disturbances and in no other way, else 0.
 
     x (n,), u (m,): near which they are tried
     size (n + p,): of states and outputs
     """
     n, q = len(equations.states), len(equations.disturbances)
     act: Array = np.ones(len(which))
+    through: Array = np.zeros((q, len(which)))
     for point in range(_POINTS):
         near_x = [value + float(size[i]) * _share(point, i) for i, value in enumerate(x)]
         near_u = [value + _share(point, n + i) for i, value in enumerate(u)]
@@ -39,10 +41,14 @@ def act_as_disturbance(
         except (ArithmeticError, ValueError):
             return np.zeros(len(which))
         slopes = slopes[:, list(which)] / size[:, None]
+        channels = both[:n, n:] / size[:n, None]
+        W = along_disturbance(both[:n, n:], slopes[:n] * size[:n, None], size)
         rest: Array = slopes.copy()
-        rest[:n] -= (both[:n, n:] / size[:n, None]) @ along_disturbance(both[:n, n:], slopes[:n] * size[:n, None], size)
-        act = act * (np.abs(rest).max(axis=0) <= _ROUNDING * np.abs(slopes).max(axis=0))
-    return act
+        rest[:n] -= channels @ W
+        limit = _ROUNDING * np.abs(slopes).max(axis=0)
+        act = act * (np.abs(rest).max(axis=0) <= limit)
+        through = np.maximum(through, np.where(np.abs(channels).max(axis=0)[:, None] * np.abs(W) > limit, 1.0, 0.0))
+    return np.asarray(act * (through.sum(axis=0) <= 1.0))
 
 
 def along_disturbance(G_d: Array, slopes: Array, size: Array) -> Array:
