@@ -9,7 +9,7 @@ _STEP = """
     sensor_memory start_memory time_update tracking_step tuned
 """
 _DESIGN = """
-    augmented gains intensity_law like_disturbance longest_step minimum_phase operating_point schedule
+    augmented gains idle_modes intensity_law like_disturbance longest_step minimum_phase operating_point schedule
     scheduled_gains start_up stationary_design step_designs tuning undriven_noise
 """
 MODULES = [

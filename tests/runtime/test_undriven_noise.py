@@ -39,7 +39,7 @@ def error_of(H, resistance, outputs=(0, 2), *, noisy=True):
     step, intensities = discretise(system, H, 1.0), tuned_intensities(system, H, 1.0, known)
     noise = [scaled_noise(step, intensities)]
     if noisy:
-        on_states = undriven_noise(told.A, told.C, told.G_d, np.ones(3), H)
+        on_states = undriven_noise(told.A, told.C, told.G_d, np.ones(3), np.zeros(3), H)
         assert list(on_states > 0.0) == [False, False, True]
         # Spread over the step, by its middle: at an end its correlation with the speed would be wrong.
         white = np.vstack([np.diag(np.sqrt(on_states * H)), np.zeros((2, 3))])
@@ -81,22 +81,29 @@ def test_where_the_model_is_right_the_noise_costs_next_to_nothing(H, outputs):
 def test_what_a_disturbance_reaches_through_other_states_gets_no_noise():
     plant = actuator()
     behind = np.array([[0.0], [0.0], [1.0]])
-    assert not np.any(undriven_noise(plant.A, plant.C, behind, np.ones(3), 1e-2))
+    assert not np.any(undriven_noise(plant.A, plant.C, behind, np.ones(3), np.zeros(3), 1e-2))
     only_position = np.array([[1.0], [0.0], [0.0]])
-    found = undriven_noise(plant.A, plant.C, only_position, np.ones(3), 1e-2)
+    found = undriven_noise(plant.A, plant.C, only_position, np.ones(3), np.zeros(3), 1e-2)
     np.testing.assert_allclose(found, [0.0, 0.005**2 * 26.0 * 1e-2, 0.02**2 * 2500.0 * 1e-2])
 
 
 def test_the_noise_scales_with_the_units_of_states_and_time():
     plant, size = actuator(), np.array([1.0, 2.0, 3.0])
     channels = np.zeros((3, 0))
-    found = undriven_noise(plant.A, plant.C, channels, size, 1e-2)
+    found = undriven_noise(plant.A, plant.C, channels, size, np.zeros(3), 1e-2)
     S, ms = np.array([10.0, 0.5, 1e3]), 1e3
-    other = undriven_noise(plant.A * S[:, None] / S / ms, plant.C / S, channels, size * S, 1e-2 * ms)
+    other = undriven_noise(plant.A * S[:, None] / S / ms, plant.C / S, channels, size * S, np.zeros(3), 1e-2 * ms)
     np.testing.assert_allclose(other, found * S**2 / ms)
 
 
 def test_the_noise_of_a_state_that_keeps_its_value_is_zero():
     A = np.diag([-1.0, 0.0])
-    found = undriven_noise(A, np.eye(2), np.zeros((2, 0)), np.ones(2), 1e-2)
+    found = undriven_noise(A, np.eye(2), np.zeros((2, 0)), np.ones(2), np.zeros(2), 1e-2)
     np.testing.assert_allclose(found, [0.02**2 * 1e-2, 0.0])
+
+
+def test_a_state_that_only_inputs_drive_gets_noise_by_the_size_of_their_terms():
+    """As the rate of a body behind its thrusters."""
+    A = np.array([[0.0, 1.0], [0.0, 0.0]])
+    found = undriven_noise(A, np.eye(2), np.zeros((2, 0)), np.array([1.0, 2.0]), np.array([0.0, 30.0]), 1e-2)
+    np.testing.assert_allclose(found, [0.02**2 * 4.0 * 1e-2, 0.02**2 * 900.0 * 1e-2])

@@ -3,7 +3,8 @@
     ξ = [x; δ₁ … δ_r],   δ₁ = d,  δ_i' = δ_{i+1},  δ_r' = w_d      disturbance order r = 1, 2, 3
     ξ = x                                                          r = 0: white noise on all of G, the paper's design
 
-White noise of intensity s drives w_d (r ≥ 1) or all of G (r = 0), and s_f drives the channel of f where that is apart.
+White noise of intensity s drives w_d (r ≥ 1) or all of G (r = 0), and s_f drives the channels of f where these are
+apart from d's.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.idle_modes import idle_directions
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.exponential import exponential
 from ndob_fmu.runtime.numerics.units import natural_units, units_of_inputs
@@ -26,7 +28,7 @@ class Augmented:
     order: r.
     A (N,N), C (p,N): ξ' = A ξ + …, y = C ξ.
     noise (N,·): the channel of the noise of intensity s.
-    f_noise (N,·): the channel of the noise of intensity s_f.
+    f_noise (N,·): the channels of the noise of intensities s_f: those of f, then `idle_directions`.
     selector (q2,N): picks d = δ₁ out of ξ; None for r = 0, where d is read from the output error.
     units (N,): of ξ, powers of two, in which A and R^{-1/2} C are near one. Norms of A mean something only there.
     """
@@ -79,15 +81,17 @@ def augment(linear: LinearPart, order: int, noise_std: Array | None = None) -> A
         A[n + i * q : n + (i + 1) * q, n + (i + 1) * q : n + (i + 2) * q] = np.eye(q)
     C = np.hstack([linear.C, np.zeros((len(linear.C), order * q))])
     f_channel = np.zeros((n, 0)) if linear.matched else linear.G_f
+    units = natural_units(A, C / noise_std[:, None])
+    idle = idle_directions(linear.A, np.hstack([linear.G_d, f_channel]), units[:n])
     return Augmented(
         linear=linear,
         order=order,
         A=A,
         C=C,
         noise=np.eye(N)[:, N - q :],
-        f_noise=np.vstack([f_channel, np.zeros((order * q, f_channel.shape[1]))]),
+        f_noise=np.vstack([np.hstack([f_channel, idle]), np.zeros((order * q, f_channel.shape[1] + idle.shape[1]))]),
         selector=np.eye(N)[n : n + q],
-        units=natural_units(A, C / noise_std[:, None]),
+        units=units,
     )
 
 

@@ -23,6 +23,11 @@ def middle_input(inputs: Sequence[str], ranges: Ranges) -> tuple[float, ...]:
     return tuple(0.5 * sum(ranges[name]) if name in ranges else 0.0 for name in inputs)
 
 
+def largest_input(inputs: Sequence[str], ranges: Ranges) -> tuple[float, ...]:
+    """Return the size (m,) of the input: the largest in its range, 1 without one."""
+    return tuple(max(abs(ranges[name][0]), abs(ranges[name][1])) if name in ranges else 1.0 for name in inputs)
+
+
 def tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPart | None:
     """Return the plant linearised at x̂₀ (n,), without f; None where it cannot be evaluated.
 

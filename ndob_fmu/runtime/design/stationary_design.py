@@ -28,7 +28,7 @@ class Intensities:
     """White noise that the design assumes. A noise of intensity s, averaged over a step H, has the variance s/H.
 
     disturbance (q_d,): intensities on w_d, on all of G for r = 0.
-    f (q_f,): intensities on the channels of f where they are apart; empty for r = 0, where they are in `disturbance`.
+    f (q_f,): intensities on the channels of `Augmented.f_noise`; empty for r = 0, where f's are in `disturbance`.
     scale: factor on the standard deviations of all noises, that of the samples included. It leaves the converged gain
     as it is, and sets the weight of the noise against the uncertainty at the start.
     """

@@ -105,6 +105,13 @@ class PredictedErrors:
         H = self.discrete.H
         fastest = fastest_bandwidth(self.system, H, self.known)
         place, all_tried = _minimise(cost, float(np.log(_SLOWEST / H)), float(np.log(fastest)), list(tried))
+        if all(one.prior_factor is None for one in all_tried):
+            raise DesignError.report(
+                "tuning of the observer",
+                expected=f"a stationary gain at steps of {H:g} s",
+                received="none from the slowest to the fastest observer",
+                likely="a mode that samples hardly show; measure a state nearer to it, or leave it out of the model",
+            )
         # The minimum is flat: its last digits are those of the processor's arithmetic, and say nothing.
         return float(np.exp(round(place + float(np.log(H)), _DIGITS)) / H), all_tried
 
@@ -125,7 +132,7 @@ class PredictedErrors:
         try:
             intensities = at_bandwidth(self.system, discrete.H, float(np.exp(log_bandwidth)), known)
             design = design_for(self.system, discrete, known.R_factor, intensities, self.alpha, similar)
-        except DesignError:  # at the far ends of the range; where every design fails, the final one raises
+        except DesignError:  # at the far ends of the range
             return Tried(log_bandwidth, np.inf, np.inf, None)
         bias, noise = squared_errors(design, known)
         return Tried(log_bandwidth, bias, noise, design.prior_factor)
@@ -173,14 +180,18 @@ def f_intensities(system: Augmented, H: float, bandwidth: float, known: Knowledg
     """Return the intensities (q_f,) on the channels of f where they are apart from the disturbance's.
 
     f is trusted like a disturbance up to the bandwidth (rad/s): each channel's spectrum meets the noise's there, in the
-    outputs. So its unit does not matter. A channel that no output shows has none.
+    outputs. So its unit does not matter. A channel that no output shows has none. Idle modes drift as slowly as the
+    slowest observer follows.
     """
     linear = system.linear
-    intensities = np.zeros(0 if linear.matched else linear.G_f.shape[1])
+    q_f = 0 if linear.matched else linear.G_f.shape[1]
+    channels = linear.G_f if system.order == 0 else system.f_noise[: len(linear.A)]
+    intensities = np.zeros(channels.shape[1] if system.order else q_f)
     for i in range(len(intensities)):
-        degree, gain = first_response(system, known.R_factor, linear.G_f[:, i])
+        degree, gain = first_response(system, known.R_factor, channels[:, i])
         if degree:
-            intensities[i] = H * bandwidth ** (2 * degree) / gain**2
+            followed = bandwidth if i < q_f else _SLOWEST / H
+            intensities[i] = H * followed ** (2 * degree) / gain**2
     return intensities
 
 

@@ -12,7 +12,7 @@ from ndob_fmu.runtime.design.augmented import Augmented, augment
 from ndob_fmu.runtime.design.like_disturbance import act_as_disturbance
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
-from ndob_fmu.runtime.design.operating_point import middle_input, require_tangent, tangent
+from ndob_fmu.runtime.design.operating_point import largest_input, middle_input, require_tangent, tangent
 from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.design.step_designs import StepDesigns
 from ndob_fmu.runtime.design.tuning import Knowledge
@@ -101,7 +101,7 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
         ),
         noise_std=noise,
         rounding=rounding,
-        undriven=_undriven(working, settings, x_hat),
+        undriven=_undriven(working, settings, x_hat, np.array(largest_input(equations.inputs, equations.ranges))),
         like_disturbance=_like_disturbance(equations, parameters, settings, uncertain, x_hat, u, noise),
         designs=StepDesigns(
             system=augment(linear, order, noise),
@@ -138,13 +138,17 @@ def _like_disturbance(
     return np.where([settings.estimated[i] for i in uncertain], 0.0, act)
 
 
-def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector) -> Array:
-    """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ and its error."""
+def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector, u_size: Array) -> Array:
+    """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ and its error.
+
+    u_size (m,): size of the inputs
+    """
     if settings.order == 0:
         return np.zeros(len(linear.A))
     noise = np.diag(np.array(settings.state_noise, dtype=float))
     size = np.abs(np.array(x_hat, dtype=float)) + np.array(settings.x_std, dtype=float)
-    return undriven_noise(linear.A, linear.C, np.hstack([linear.G_d, noise]), size, 1.0)
+    by_input = np.asarray(np.linalg.norm(linear.B * u_size, axis=1), dtype=float)
+    return undriven_noise(linear.A, linear.C, np.hstack([linear.G_d, noise]), size, by_input, 1.0)
 
 
 def linearised(equations: Equations, parameters: Vector, x_hat: Vector, order: int) -> LinearPart:
