@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.operating_point import middle_input
+from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.step.converged_step import disturbance_std
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, without_adaptation
 
@@ -13,6 +15,17 @@ _MOST_STEPS = 1000
 _START = 4  # samples for each entry of the observer's state, before which its error bars are not judged
 _WINDOW = 20  # steps in which a settled error bar changes by less than the part below
 _SETTLED = 1e-3
+
+
+def stationary_at(observer: SampledObserver, H: float) -> tuple[StationaryDesign, bool]:
+    """Return the design of the frozen gain at a step H (s), and True; without one, that with the slopes of f known.
+
+    All predictions of the observer's errors come from it. Raises DesignError where there is neither.
+    """
+    try:
+        return observer.design(H), True
+    except DesignError:
+        return observer.tracking.at(H).stationary, False
 
 
 def settled_error_bars(observer: SampledObserver, x_hat: Array, H: float) -> tuple[Array, Array]:

@@ -7,12 +7,13 @@ measured outputs or estimated states is known there. So it is no unknown input, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ndob_fmu.analysis.check_report import CheckRow
 from ndob_fmu.analysis.direction import shortest_direction
-from ndob_fmu.analysis.error_bars import settled_error_bars
+from ndob_fmu.analysis.error_bars import stationary_at
 from ndob_fmu.analysis.row_parts import MODE_TOLERANCE, dominant, hidden_modes, number, numbers, outcome
 from ndob_fmu.analysis.row_parts import relative_degrees as degrees_row
 from ndob_fmu.analysis.separable import separability_rows
@@ -21,6 +22,7 @@ from ndob_fmu.errors import DesignError, some_of
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.minimum_phase import margins_of
+from ndob_fmu.runtime.design.operating_point import tangent_at
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.tuning import predicted_error
@@ -31,6 +33,7 @@ from ndob_fmu.runtime.step.preparation import linearised
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
 
+_POINTS = 8  # of the ranges told, besides the start values
 _HARDLY_SEEN = 0.5  # of what is known without samples: of a disturbance's bound, of a state's error at the start
 
 
@@ -54,7 +57,8 @@ def estimator_rows(
         names = [*([] if linear.matched else [f"f[{i}]" for i in range(linear.G_f.shape[1])]), *names]
     system = balance(linear.A, linear.G, linear.C)
     degrees = degrees_row(system, names)
-    detectable = _detectable(system, model.states, names, constant=order > 0)
+    elsewhere = [] if order == 0 else list(_elsewhere(equations, values))
+    detectable = _detectable(system, elsewhere, model.states, names, constant=order > 0)
     zeros = _zeros(system, degrees.values, margin=alpha if order == 0 else 0.0)
     return (
         detectable,
@@ -79,7 +83,77 @@ def _no_order_zero() -> CheckRow:
     )
 
 
-def _detectable(system: Balanced, states: Sequence[str], names: Sequence[str], *, constant: bool) -> CheckRow:
+class _Point(NamedTuple):
+    """The plant linearised at a point of the ranges told, and the values there that have one."""
+
+    at: Mapping[str, float]
+    system: Balanced
+
+
+def _elsewhere(equations: Equations, values: Sequence[float]) -> Iterator[_Point]:
+    """Yield points of the ranges that are told, the same ones each time; none without ranges."""
+    random, ranges = np.random.default_rng(0), equations.ranges
+    for _ in range(_POINTS if ranges else 0):
+        at = {name: float(random.uniform(low, high)) for name, (low, high) in ranges.items()}
+        x = [at.get(name, start) for name, start in zip(equations.states, equations.xhat0, strict=True)]
+        u = [at.get(name, 0.0) for name in equations.inputs]
+        linear = tangent_at(equations, values, x, u)
+        if linear is not None:
+            yield _Point(at, balance(linear.A, linear.G, linear.C))
+
+
+def _detectable(
+    start: Balanced, elsewhere: Sequence[_Point], states: Sequence[str], names: Sequence[str], *, constant: bool
+) -> CheckRow:
+    """Return whether all that no output shows decays, at the start values and at most points of the ranges told.
+
+    A plant may pass a point where an output shows nothing, as an arm that is stretched. There it is only warned of.
+    """
+    here = _hidden(start, states, names, constant=constant)
+    others = [(point, _hidden(point.system, states, names, constant=constant)) for point in elsewhere]
+    lost = [(point, found) for point, found in others if found.failure]
+    failure, likely, note = here.failure, here.likely, ""
+    if lost and not failure:
+        point, found = lost[0]
+        where = ", ".join(f"{name} = {value:.3g}" for name, value in point.at.items())
+        note = f"; warning: {found.failure} at {len(lost)} of {len(others)} points of the ranges, as at {where}"
+        if 2 * len(lost) > len(others):
+            failure, likely = f"{found.failure} where the plant works, as at {where}", found.likely
+    shown = "".join(f"; {where} in no output, decays ({mode} 1/s)" for mode, where in here.decaying.items())
+    return outcome(
+        "detectable",
+        not failure,
+        "what no output shows decays",
+        f"smallest singular value {here.smallest:.2g} (> {here.limit:.2g}){shown}{note}",
+        failure=failure,
+        likely=likely,
+        values={
+            "smallest_singular_value": here.smallest,
+            "decaying": here.decaying,
+            "lasting": here.lasting,
+            "points": len(others),
+            "not_detectable_at": [dict(point.at) for point, _ in lost],
+        },
+    )
+
+
+class _Hidden(NamedTuple):
+    """What no output shows of a plant at one point.
+
+    failure, likely: what does not decay, and what to do; empty where all does
+    smallest, limit: singular value, and below which a mode is hidden
+    decaying, lasting: {mode: states}
+    """
+
+    failure: str
+    likely: str
+    smallest: float
+    limit: float
+    decaying: Mapping[str, str]
+    lasting: Mapping[str, str]
+
+
+def _hidden(system: Balanced, states: Sequence[str], names: Sequence[str], *, constant: bool) -> _Hidden:
     """Return whether all that no output shows decays, of the states and of the disturbances' models 1/s, 1/s² ….
 
     The disturbance's model has the eigenvalue 0 alone. So it is detectable where [A G; C 0] has full column rank: where
@@ -104,16 +178,7 @@ def _detectable(system: Balanced, states: Sequence[str], names: Sequence[str], *
             which = dominant(Vh[-1, n:], names)
             failure = f"a constant {which} that leaves every output as it is"
             likely = f"only rates are measured; measure a state that a constant {which} shifts, or leave {which} out"
-    shown = "".join(f"; {where} in no output, decays ({mode} 1/s)" for mode, where in decaying.items())
-    return outcome(
-        "detectable",
-        not failure,
-        "what no output shows decays",
-        f"smallest singular value {smallest:.2g} (> {limit:.2g}){shown}",
-        failure=failure,
-        likely=likely,
-        values={"smallest_singular_value": smallest, "decaying": decaying, "lasting": lasting},
-    )
+    return _Hidden(failure, likely if failure else "", smallest, limit, decaying, lasting)
 
 
 def _zeros(system: Balanced, degrees: Mapping[str, int | None], *, margin: float) -> CheckRow:
@@ -160,8 +225,7 @@ def _error_bars(model: Model, equations: Equations, values: Sequence[float]) -> 
     """Return how well disturbances and states will be seen at the default step, with the noise and pace that are told.
 
     A disturbance's predicted error, bias and noise, counts relative to its bound, a state's relative to its error at
-    the start. Where no stationary design predicts them, the error bars of the disturbances come from a run. The row
-    fails only where the observer cannot be tuned at all.
+    the start. They are those of `design`, and the row fails where it refuses: where no gain can be found.
     """
     H, settings = model.experiment.step_size, observer_settings(equations)
     observer = sampled_observer(equations, values, settings, equations.xhat0)
@@ -169,6 +233,7 @@ def _error_bars(model: Model, equations: Equations, values: Sequence[float]) -> 
     try:
         if not refused:
             observer.tuned(H)
+            found, _ = stationary_at(observer, H)
     except DesignError as why:
         refused = str(why)
     if refused:
@@ -181,14 +246,9 @@ def _error_bars(model: Model, equations: Equations, values: Sequence[float]) -> 
             likely=refused,
             values={},
         )
-    of_x = {}
-    try:
-        found = observer.tracking.at(H).stationary
-        error = np.sum(predicted_error(found, observer.known.disturbance_rate), axis=0)
-        std = np.linalg.norm(found.update.factor, axis=1)[: len(model.states)] / found.intensities.scale
-        of_x = dict(zip(model.states, (std / np.array(settings.x_std)).tolist(), strict=True))
-    except DesignError:
-        error = settled_error_bars(observer, np.array(equations.xhat0), H)[0]
+    error = np.sum(predicted_error(found, observer.known.disturbance_rate), axis=0)
+    std = np.linalg.norm(found.update.factor, axis=1)[: len(model.states)] / found.intensities.scale
+    of_x = dict(zip(model.states, (std / np.array(settings.x_std)).tolist(), strict=True))
     of_d = dict(zip(model.unknown_inputs, (error / np.array(settings.disturbance_bound)).tolist(), strict=True))
     shown = [*((name, part, "bound") for name, part in of_d.items())]
     warned = [*shown, *((name, part, "error at the start") for name, part in of_x.items())]

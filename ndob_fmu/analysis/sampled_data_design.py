@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.analysis.certificate import Certificate, certify, no_certificate
-from ndob_fmu.analysis.error_bars import settled_error_bars
+from ndob_fmu.analysis.error_bars import settled_error_bars, stationary_at
 from ndob_fmu.analysis.paper_design import PaperDesign, sorted_poles, table
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.errors import DesignError, UsageError
+from ndob_fmu.errors import UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.design.ranges import continued
-from ndob_fmu.runtime.design.stationary_design import StationaryDesign
 from ndob_fmu.runtime.design.tuning import bandwidth_of, predicted_error
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
@@ -190,7 +189,7 @@ def sampled_data_design(
     known = observer.known
     if by_pi:
         observer = observer_for((0.0,) * len(disturbance_rate))
-    found, of_constants = _stationary_at(observer, step_size)
+    found, of_constants = stationary_at(observer, step_size)
     intensity = float(found.intensities.disturbance[-len(known.disturbance_bound)])
     bias, noise = predicted_error(found, known.disturbance_rate)
     error_bar, lagged_error_bar = settled_error_bars(observer, np.array(equations.xhat0), step_size)
@@ -239,17 +238,6 @@ def sampled_data_design(
             *([] if by_pi else pace_warnings(pace, model.unknown_inputs, step_size)),
         ),
     )
-
-
-def _stationary_at(observer: SampledObserver, H: float) -> tuple[StationaryDesign, bool]:
-    """Return the design of the frozen gain at a step H (s), and True; without one, that with the slopes of f known.
-
-    Raises DesignError where there is neither.
-    """
-    try:
-        return observer.design(H), True
-    except DesignError:
-        return observer.tracking.at(H).stationary, False
 
 
 def _lacking_for_a_bound(model: Model, *, of_constants: bool) -> str:

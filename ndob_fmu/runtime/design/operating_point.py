@@ -33,11 +33,11 @@ def tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> LinearPa
 
     Where the disturbance moves nothing at x̂₀, or no output shows a state, other points of the ranges are tried.
     """
-    first = _at(equations, parameters, x_hat, middle_input(equations.inputs, equations.ranges))
+    first = tangent_at(equations, parameters, x_hat, middle_input(equations.inputs, equations.ranges))
     if first is not None and _tells(first):
         return first
     for x, u in _others(equations, x_hat):
-        found = _at(equations, parameters, x, u)
+        found = tangent_at(equations, parameters, x, u)
         if found is not None and _tells(found):
             return found
     return first
@@ -84,7 +84,8 @@ def _across(names: Sequence[str], otherwise: Vector, ranges: Ranges, share: floa
     return found
 
 
-def _at(equations: Equations, parameters: Vector, x: Vector, u: Vector) -> LinearPart | None:
+def tangent_at(equations: Equations, parameters: Vector, x: Vector, u: Vector) -> LinearPart | None:
+    """Return the plant linearised at x (n,) and u (m,), without f; None where it cannot be evaluated there."""
     n, m, q = len(equations.states), len(equations.inputs), len(equations.disturbances)
     d = equations.disturbance_nominal
     try:
