@@ -53,8 +53,50 @@ def step_by_step(rows, step, inputs, count):
 def test_the_sum_is_that_of_all_steps(modes):
     rows, step, inputs = problem(modes)
     expected = step_by_step(rows, step, inputs, 60_000)
-    # The sum that is carried out ends where a step adds less than 1e-7, 1000 of which are left then.
-    np.testing.assert_allclose(summed(magnitudes, rows, step, inputs, by_element=True), expected, rtol=2e-4)
+    found = summed(magnitudes, rows, step, inputs, by_element=True)
+    assert np.all(found >= expected * (1.0 - 1e-9))
+    assert np.all(found <= expected * 1.002)
+
+
+@pytest.mark.parametrize("by_element", [True, False])
+@pytest.mark.parametrize("seed", range(8))
+def test_the_sum_of_slow_modes_of_many_paces_is_a_bound_and_hardly_more(seed, by_element):
+    random = np.random.default_rng(seed)
+    decay = 10.0 ** random.uniform(-3.3, -2.0, 2)
+    turn = np.minimum(1.0, decay * 10.0 ** random.uniform(-1.0, 1.5, 2))
+    pairs = (1.0 - decay) * np.exp(1j * turn)
+    modes = (*[mode for pair in pairs for mode in (pair, np.conj(pair))], 1.0 - 10.0 ** random.uniform(-3.0, -1.0))
+    rows, step, inputs = problem(modes, seed)
+    expected = step_by_step(rows, step, inputs, int(40.0 / np.min(1.0 - np.abs(modes))))
+    found = summed(magnitudes, rows, step, inputs, by_element=by_element)
+    assert np.all(found >= expected * (1.0 - 1e-9))
+    assert np.all(found <= expected * 1.005)
+
+
+@pytest.mark.parametrize("mode", [0.0, 0.5, 0.99])
+def test_equal_modes_that_cannot_be_told_apart_do_not_blow_the_bound_up(mode):
+    step = mode * np.eye(5) + np.diag(np.full(4, 0.3), 1)
+    random = np.random.default_rng(0)
+    rows, inputs = random.normal(size=(3, 5)), random.normal(size=(5, 2))
+    expected = step_by_step(rows, step, inputs, 20_000)
+    found = summed(magnitudes, rows, step, inputs, by_element=True)
+    np.testing.assert_allclose(found, expected, rtol=5e-3)
+
+
+def test_a_slow_oscillation_takes_few_steps(monkeypatch):
+    """A step counts where it is evaluated: of 100 000 hundreds are, and what is left is bounded by its modes."""
+    rows, step, inputs = problem((1.0 - 1e-4 + 1e-4j, 1.0 - 1e-4 - 1e-4j, 0.9, 0.1))
+    evaluated = 0
+
+    def counted(responses):
+        nonlocal evaluated
+        terms = magnitudes(responses)
+        evaluated += terms.shape[1]
+        return terms
+
+    found = summed(counted, rows, step, inputs, by_element=True)
+    np.testing.assert_allclose(found, step_by_step(rows, step, inputs, 200_000), rtol=2e-3)
+    assert evaluated < 8_000
 
 
 def test_a_response_that_keeps_its_sign_is_exact_and_takes_few_steps(monkeypatch):
