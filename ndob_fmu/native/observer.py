@@ -13,6 +13,7 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit_c import emit_c
 from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.model.model import Model
+from ndob_fmu.native.continued import continued_text
 from ndob_fmu.native.thunks import converged_step_thunk, matrices_thunk, thunk
 from ndob_fmu.native.translate.print_c import translate
 from ndob_fmu.native.variable_table import number, quoted
@@ -80,7 +81,7 @@ def _printed(model: Model, eq: Equations) -> list[str]:
     outputs = n + 5 * q + 2 * p + 2
     fields = re.findall(r"_gain_(\w+)", head)
     thunks.append(converged_step_thunk(fields, [n + 3 * q, n + 3 * q, q, p, m, p, p, outputs]))
-    return [text, *thunks]
+    return [text, *thunks, continued_text(eq)]
 
 
 def equations_text(eq: Equations) -> str:
@@ -100,7 +101,7 @@ def equations_text(eq: Equations) -> str:
         f"equations->experiment.step_size = {number(eq.experiment.step_size)};",
         f"equations->experiment.stop_time = {number(eq.experiment.stop_time)};",
         *_ranges(eq),
-        *(f"equations->{name}.call = call_{name};" for name in functions),
+        *(f"equations->{name}.call = {'continued' if eq.ranges else 'call'}_{name};" for name in functions),
         "equations->steps.observer_constants.call = call_observer_constants;",
         "equations->steps.observer_step.call = call_observer_step;",
     ]

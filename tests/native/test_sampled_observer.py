@@ -12,14 +12,15 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.native.observer import sampled_observer_text
+from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
-from tests.helpers.general_plants import CART
+from tests.helpers.general_plants import BALL, CART
 from tests.helpers.problems import MODELS
 from tests.helpers.translated import FLAGS, compiler
 
 JOINT = MODELS["flexible_joint"]
-MODELS_HERE = {model.name: model for model in (JOINT, CART)}
+MODELS_HERE = {model.name: model for model in (JOINT, CART, BALL)}
 H = 1e-3
 MEMORY = 1 << 24
 
@@ -116,6 +117,7 @@ CASES = {
     "delays, an offset, a lag": ("FlexibleJoint", {"delay": [0.0, 3e-3], "bias_std": [1e-3, 0.0], "lag": 0.02}),
     "uncertain parameters": ("FlexibleJoint", {"parameter_std": [0.1] * 3}),
     "a plant without the paper's form": ("Cart", {}),
+    "a plant whose estimate leaves its ranges": ("Ball", {}),
 }
 
 
@@ -126,7 +128,7 @@ def test_the_estimates_are_those_of_python_over_many_steps(case, library_of):
     model = MODELS_HERE[name]
     eq, p = compile_model(model), model.parameter_values()
     settings = observer_settings(eq, noise_std=[1e-5] * len(eq.outputs), **changes)
-    observer = sampled_observer(eq, p, settings, eq.xhat0)
+    observer = sampled_observer(continued(eq), p, settings, eq.xhat0)
     native = Native(library_of(name), model, settings, eq.xhat0)
     random = np.random.default_rng(5)
     state, x, d = observer.init(eq.xhat0), list(eq.x0), 0.3 * np.array(eq.disturbance_bound)

@@ -1,0 +1,28 @@
+"""The plant continued outside its ranges in C: its limits, and `component/continued.c` over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+
+from ndob_fmu.native.variable_table import number
+from ndob_fmu.runtime.equations import Equations
+
+_SOURCE = Path(__file__).parent / "component" / "continued.c"
+
+
+def continued_text(eq: Equations) -> str:
+    """Return C text behind which `continued_…` stand beside the functions `call_…`; none for a plant without ranges."""
+    if not eq.ranges:
+        return ""
+    sizes = {"STATES": eq.states, "INPUTS": eq.inputs, "OUTPUTS": eq.outputs, "DISTURBANCES": eq.disturbances}
+    listed = ", ".join(f"CONTINUED_{name} = {len(names)}" for name, names in sizes.items())
+    limits = [_limits("states", eq, eq.states), _limits("inputs", eq, eq.inputs)]
+    return "\n".join([f"enum {{ {listed} }};", *limits, _SOURCE.read_text("utf-8")])
+
+
+def _limits(name: str, eq: Equations, names: Sequence[str]) -> str:
+    pairs = [eq.ranges.get(one, (-inf, inf)) for one in names] or [(-inf, inf)]
+    listed = ", ".join(f"{{{number(low)}, {number(high)}}}" for low, high in pairs)
+    return f"static const double limits_of_{name}[][2] = {{{listed}}};"
