@@ -79,6 +79,7 @@ LOOSE = dict.fromkeys(
 ) | dict.fromkeys(
     (
         # Second differences of ẋ are a part of the covariance during the start.
+        "step.time_update.left_out",
         "step.sampled_step._stepped",
         "step.sampled_step.step_by_definition",
         "step.time_update._moved",

@@ -79,18 +79,25 @@ nd nd_inv(nd_arena *a, nd A) { return nd_solve(a, A, nd_eye(a, A.n[0], A.n[0], 0
    set to 1, and *tau to the factor of v vT. */
 static double reflection(double *v, int n, double *tau) {
     double largest = 0.0, sum = 0.0, first = v[0], norm;
-    for (int i = 1; i < n; i++)
-        if (fabs(v[i]) > largest || v[i] != v[i]) largest = fabs(v[i]);
-    *tau = 0.0;
-    if (largest == 0.0) {
-        v[0] = 1.0;
-        return first;
+    for (int i = 1; i < n; i++) sum += v[i] * v[i];
+    norm = sqrt(sum + first * first);
+    if (!(sum > 1e-280 && sum + first * first < 1e280)) { /* squares leave the range of numbers */
+        for (int i = 1; i < n; i++)
+            if (fabs(v[i]) > largest || v[i] != v[i]) largest = fabs(v[i]);
+        if (largest == 0.0) {
+            *tau = 0.0;
+            v[0] = 1.0;
+            return first;
+        }
+        if (fabs(first) > largest) largest = fabs(first);
+        sum = 0.0;
+        for (int i = 0; i < n; i++) sum += v[i] / largest * (v[i] / largest);
+        norm = largest * sqrt(sum);
     }
-    if (fabs(first) > largest) largest = fabs(first);
-    for (int i = 0; i < n; i++) sum += v[i] / largest * (v[i] / largest);
-    norm = -copysign(largest * sqrt(sum), first);
+    norm = -copysign(norm, first);
     *tau = (norm - first) / norm;
-    for (int i = 1; i < n; i++) v[i] /= first - norm;
+    sum = 1.0 / (first - norm);
+    for (int i = 1; i < n; i++) v[i] *= sum;
     v[0] = 1.0;
     return norm;
 }

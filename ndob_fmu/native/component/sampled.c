@@ -69,7 +69,9 @@ static StepDesign sampled_design(nd_arena *arena, const void *env, double H, dou
     memcpy(&self, &env, sizeof self);
     if (!is_kept(&self->of_design, H, tuned_at, noise)) {
         m_double given = {true, tuned_at};
-        StepDesign found = StepDesigns_at(arena, &self->prepared.designs, H, &given, noise);
+        m_Intensities not_yet;
+        memset(&not_yet, 0, sizeof not_yet);
+        StepDesign found = StepDesigns_at(arena, &self->prepared.designs, H, &given, noise, &not_yet);
         self->of_design.some = false;
         if (arena->error) return found;
         self->design = copied_StepDesign(keep(&self->of_design, H, tuned_at, noise), found);

@@ -76,10 +76,17 @@ class StepDesigns:
     _latest: LatestResult[StepDesign] = field(default_factory=LatestResult, repr=False, compare=False)
     _latest_intensities: LatestResult[Intensities] = field(default_factory=LatestResult, repr=False, compare=False)
 
-    def at(self, H: float, tuned_at: float | None = None, noise: tuple[float, ...] | None = None) -> StepDesign:
+    def at(
+        self,
+        H: float,
+        tuned_at: float | None = None,
+        noise: tuple[float, ...] | None = None,
+        tuned: Intensities | None = None,
+    ) -> StepDesign:
         """Return the design for a step H (s), with the intensities tuned for a step `tuned_at` (s) near it, H if None.
 
         noise: factors (p,) on the variances of the samples; None for the noise that was told
+        tuned: those intensities, if the caller has them
 
         Raises DesignError where there is none.
         """
@@ -87,7 +94,7 @@ class StepDesigns:
         factors = told if noise is None else noise
 
         def stationary() -> StationaryDesign:
-            R_factor, intensities = self.known.R_factor, self.intensities(tuned_for)
+            R_factor, intensities = self.known.R_factor, self.intensities(tuned_for) if tuned is None else tuned
             if factors != told:
                 R_factor = R_factor * np.sqrt(factors)
                 changed = self.law(tuned_for).scaled(intensities.disturbance, tuned_for, H, factors)

@@ -12,7 +12,7 @@ from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.intensity_law import IntensityLaw
 from ndob_fmu.runtime.design.start_up import start_up
 from ndob_fmu.runtime.design.stationary_design import Intensities
-from ndob_fmu.runtime.design.step_designs import StepDesign
+from ndob_fmu.runtime.design.step_designs import StepDesign, StepDesigns
 from ndob_fmu.runtime.design.tuning import bandwidth_of, squared_errors
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_sure
@@ -57,21 +57,19 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
         return Tuned(
             H, filter_model(observer, intensities.scale, 0.0), intensities, None, freezes=_may_freeze(observer)
         )
-    designs, frozen_error = observer.designs, np.inf
-    try:
-        frozen_error = sum(squared_errors(observer.designs.at(H).stationary, observer.known))
-    except DesignError:
-        designs = observer.tracking
-    error = np.inf
-    try:
-        error = sum(squared_errors(observer.tracking.at(H).stationary, observer.known))
-        intensities = observer.tracking.intensities(H)
-        designs = observer.tracking
-    except DesignError:
-        intensities = designs.intensities(H)
-    freezes = frozen_error <= _AS_GOOD**2 * error and frozen_error < np.inf
-    if freezes:
-        intensities = observer.designs.intensities(H)
+    f_as_noise, slopes = _judged(observer.designs, H), _judged(observer.tracking, H)
+    designs = observer.designs if slopes is None and f_as_noise is not None else observer.tracking
+    if slopes is not None:
+        intensities, error = slopes
+    elif f_as_noise is not None:
+        intensities, error = f_as_noise[0], np.inf
+    else:
+        intensities, error = designs.intensities(H), np.inf  # says why there is no tuning
+    freezes = False
+    if f_as_noise is not None:
+        freezes = f_as_noise[1] <= _AS_GOOD**2 * error and f_as_noise[1] < np.inf
+        if freezes:
+            intensities = f_as_noise[0]
     bandwidth = bandwidth_of(observer.tracking.system, H, float(intensities.disturbance[0]), observer.known)
     return Tuned(
         H,
@@ -80,6 +78,16 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
         designs.law(H),
         freezes=freezes and _may_freeze(observer),
     )
+
+
+def _judged(designs: StepDesigns, H: float) -> tuple[Intensities, float] | None:
+    """Return the intensities for steps H (s) and J with them; None where there is no design."""
+    try:
+        intensities = designs.intensities(H)
+        stationary = designs.at(H, tuned=intensities).stationary
+    except DesignError:
+        return None
+    return intensities, sum(squared_errors(stationary, designs.known))
 
 
 def _may_freeze(observer: PreparedObserver) -> bool:
