@@ -177,7 +177,7 @@ def test_samples_that_are_late_by_whole_steps_count_as_if_they_had_been_stamped(
 
 @pytest.mark.parametrize("delays", [(1, 0), (0, 3), (5, 1)])
 def test_samples_that_are_late_by_parts_of_a_step_count_nearly_so(delays):
-    """The past between two samples is a parabola: what that leaves out is far below the error bar."""
+    """The past between two samples is a line: what that leaves out is far below the error bar."""
     case = Case(delay=tuple(0.5 * H * delay for delay in delays))
 
     def check(k, estimate, batch):

@@ -1,7 +1,8 @@
 """Samples that arrive late: what a delayed sensor measured in the past is kept as a state, which the sample corrects.
 
 At each sample the outputs of delayed sensors, as the estimate has them, become entries behind ξ. A sample of age τ
-measures the entries around t − τ, interpolated by a parabola.
+measures the line between the entries before and after t − τ. An input that is held bends the motion at each sample, so
+that a parabola through more entries would be worse.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def row_in_past(age: Array, tau: float, now: Array, which: int, count: int) -> A
     if older < 0:
         return None
     last = len(ages) - 1
-    first = min(max(older - 1, 0), max(last - 2, 0))
-    end = min(first + 3, last + 1)
+    first = min(older, max(last - 1, 0))
+    end = min(first + 2, last + 1)
     result = np.zeros(len(now))
     for i in range(first, end):
         weight = 1.0
