@@ -7,12 +7,12 @@ import pytest
 from ndob_fmu.native.translate.print_c import translate
 from tests.helpers.translated import Library, Recorder, forget_results
 from tests.native.runs import RUNS
-from tests.native.scope import MODULES
+from tests.native.scope import MODULES, WRAPPERS
 
 
 @pytest.fixture(scope="session")
 def translation():
-    return translate(MODULES, "translated")
+    return translate(MODULES, "translated", leave_out=WRAPPERS)
 
 
 @pytest.fixture(scope="session")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import scipy.linalg
 
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.model.loading import load_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.gains import paper_gains
+from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.minimum_phase import transmission_zeros
 from ndob_fmu.runtime.design.operating_point import driven_modes
 from ndob_fmu.runtime.design.schedule import PiSchedule
@@ -17,6 +20,7 @@ from ndob_fmu.runtime.numerics.integrate import integrate
 from ndob_fmu.runtime.numerics.riccati import solve_riccati
 from ndob_fmu.runtime.numerics.stiff import integrate_any
 from ndob_fmu.runtime.numerics.zeros import balance, pencil_zeros
+from ndob_fmu.runtime.step.channel_observer import read_out
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from tests.helpers.general_plants import CART
 from tests.helpers.observers import sampled_observer
@@ -84,6 +88,18 @@ def _sampled(model, *, steps=101, **settings) -> None:
             x = (np.array(x) + h * np.array(eq.derivatives(x, u, d.tolist(), p))).tolist()
 
 
+def _channel() -> None:
+    """Step the observer of a disturbance whose direction the state turns, until it vanishes."""
+    model = load_model(Path(__file__).parents[2] / "examples" / "tool_on_arm.py")
+    eq, p = compile_model(model), model.parameter_values()
+    inner = sampled_observer(lumped(eq), p, x_hat=eq.xhat0, lag=0.01)
+    observer = read_out(eq, p, inner, disturbance_bound=eq.disturbance_bound, lag=0.01)
+    state = observer.init(eq.xhat0)
+    for k in range(40):
+        y = (np.array(eq.output(eq.x0, [0.0] * len(eq.inputs), p)) + 1e-3 * k).tolist()
+        state, _ = observer.step(state, [0.0] * len(eq.inputs), y, _H)
+
+
 def _paper() -> None:
     eq, p = compile_model(JOINT), JOINT.parameter_values()
     paper_gains(eq.linear_part(p), pi=1e6, alpha=1.0)
@@ -137,6 +153,7 @@ RUNS = [
     partial(_sampled, STIFF, order=1, steps=10),
     partial(_sampled, TURNED, order=1, steps=5),
     partial(_sampled, JOINT, order=2, steps=40, disturbance_rate=[0.0], noise_std=[1e-5, 2e-5]),
+    _channel,
     _paper,
     _numerics,
 ]

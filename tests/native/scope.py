@@ -4,7 +4,8 @@ from __future__ import annotations
 
 _NUMERICS = "exponential hold integrate kalman phi riccati stiff transition units zeros"
 _STEP = """
-    adaptive_noise converged_step delayed_outputs error_columns faulty_samples filter_model filter_state fixed_lag
+    adaptive_noise channel_observer converged_step delayed_outputs error_columns faulty_samples filter_model
+    filter_state fixed_lag
     jump_bank layout measurement_update order_zero paper_observer prediction preparation reconsider sampled_step
     sensor_memory start_memory time_update tracking_step tuned
 """
@@ -20,6 +21,20 @@ MODULES = [
 
 # Written by hand in C; the tests call these beside their twins too.
 BY_HAND = {"numerics.kalman.triangular"}
+
+# What only hands on to the observer of the lumped inputs, which a component in C does itself.
+_CHANNEL = "ndob_fmu.runtime.step.channel_observer"
+WRAPPERS = [
+    f"{_CHANNEL}.{name}"
+    for name in (
+        "read_out",
+        "ChannelState.u",
+        "ChannelObserver.init",
+        "ChannelObserver.possible",
+        "ChannelObserver.estimate",
+        "ChannelObserver.step",
+    )
+]
 
 NOT_YET = {
     "design.step_designs.StepDesigns._key": "the key of a cache, which C does not have",

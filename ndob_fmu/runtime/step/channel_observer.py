@@ -36,13 +36,8 @@ def read_out(
     """
     if equations.channel is None:
         return observer
-    return ChannelObserver(
-        channel=equations.channel,
-        parameters=parameters,
-        observer=observer,
-        disturbance_bound=np.array(disturbance_bound, dtype=float),
-        lag=lag,
-    )
+    bound = np.array(disturbance_bound, dtype=float)
+    return ChannelObserver(observer, ChannelReading(equations.channel, parameters, bound, lag))
 
 
 @dataclass(frozen=True)
@@ -65,8 +60,8 @@ class ChannelState(Generic[S]):
 
 
 @dataclass(frozen=True)
-class ChannelObserver(Generic[S]):
-    """The observer of d, made from an `observer` of the lumped inputs w.
+class ChannelReading:
+    """How d is read out of estimates of the lumped inputs w.
 
     disturbance_bound (1,): D₀, the error bar of a d̂ that cannot be told
     lag: of the lagged estimate of w (s)
@@ -74,47 +69,28 @@ class ChannelObserver(Generic[S]):
 
     channel: Channel
     parameters: Vector
-    observer: Observer[S]
     disturbance_bound: Array = field(repr=False)
     lag: float = 0.0
 
-    def init(self, x_hat: Vector) -> ChannelState[S]:
-        """Return the state that starts from x̂₀ (n,)."""
-        directions = empty_lag(len(self.channel.bound), self.lag)
-        return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,), directions=directions)
-
-    def possible(self, state: ChannelState[S], elapsed: float) -> bool:
-        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
-        own = (state.d_hat, state.directions.age, state.directions.value)
-        return all(bool(np.all(np.isfinite(part))) for part in own) and self.observer.possible(state.lumped, elapsed)
-
-    def estimate(self, state: ChannelState[S], y: Vector) -> Estimate:
-        """Return what is known at a sample y (p,) before any step from it."""
-        return self._read(self.observer.estimate(state.lumped, y), state.lumped.u, state)[0]
-
-    def step(self, state: ChannelState[S], u: Vector, y: Vector, H: float) -> tuple[ChannelState[S], Estimate]:
-        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
-        after, lumped = self.observer.step(state.lumped, u, y, H)
-        estimate, directions = self._read(lumped, after.u, state)
-        return ChannelState(lumped=after, d_hat=estimate.d_hat, directions=later(directions, H)), estimate
-
-    def _read(self, lumped: Estimate, u: Vector | Array, state: ChannelState[S]) -> tuple[Estimate, LagMemory]:
+    def read(self, lumped: Estimate, u: Vector, held: Vector, directions: LagMemory) -> tuple[Estimate, LagMemory]:
         """Return the estimate of d in place of that of w, and the directions with the one at this sample.
+
+        held (1,): the last disturbance that could be read
 
         The errors of the ŵ_j are treated as independent, and x̂ as exact enough not to turn n.
         """
         at_sample = self._direction(lumped.x_at_sample, u)
         ahead = self._direction(lumped.x_hat, u)
-        d_at_sample, _ = self._fit(at_sample, lumped.d_at_sample, lumped.d_std, state.d_hat)
+        d_at_sample, _ = self._fit(at_sample, lumped.d_at_sample, lumped.d_std, held)
         d_hat, d_std = self._fit(ahead, lumped.d_hat, lumped.d_std, d_at_sample)
-        then, directions = at_sample, state.directions
+        then = at_sample
         if self.lag > 0.0:
             k = len(self.channel.bound)
             n = np.zeros(k) if at_sample is None else at_sample
             if is_due(directions, self.lag):
                 directions = remembered(directions, n, np.zeros(k))
             then = self._if_long_enough(at_lag(directions, self.lag, k)[0])
-        d_lagged, d_lagged_std = self._fit(then, lumped.d_lagged, lumped.d_lagged_std, state.d_hat)
+        d_lagged, d_lagged_std = self._fit(then, lumped.d_lagged, lumped.d_lagged_std, held)
         read = replace(
             lumped,
             d_hat=d_hat,
@@ -134,16 +110,49 @@ class ChannelObserver(Generic[S]):
         sigma = np.maximum(std, _SMALLEST_SHARE * (np.max(std) or 1.0))
         return _least_squares(n / sigma, w / sigma), (float(1.0 / np.linalg.norm(n / sigma)),)
 
-    def _direction(self, x_hat: Vector, u: Vector | Array) -> Array | None:
+    def _direction(self, x_hat: Vector, u: Vector) -> Array | None:
         """Return n (k,); None where it vanishes or cannot be evaluated."""
         try:
-            n = np.array(self.channel.direction(x_hat, [float(value) for value in u], self.parameters), dtype=float)
+            n = np.array(self.channel.direction(x_hat, u, self.parameters), dtype=float)
         except (ArithmeticError, ValueError):
             return None
         return self._if_long_enough(n)
 
     def _if_long_enough(self, n: Array) -> Array | None:
         return n if VANISHING <= np.linalg.norm(n / self.channel.bound) < np.inf else None
+
+
+@dataclass(frozen=True)
+class ChannelObserver(Generic[S]):
+    """The observer of d, made from an `observer` of the lumped inputs w."""
+
+    observer: Observer[S]
+    reading: ChannelReading
+
+    def init(self, x_hat: Vector) -> ChannelState[S]:
+        """Return the state that starts from x̂₀ (n,)."""
+        directions = empty_lag(len(self.reading.channel.bound), self.reading.lag)
+        return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,), directions=directions)
+
+    def possible(self, state: ChannelState[S], elapsed: float) -> bool:
+        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+        own = (state.d_hat, state.directions.age, state.directions.value)
+        return all(bool(np.all(np.isfinite(part))) for part in own) and self.observer.possible(state.lumped, elapsed)
+
+    def estimate(self, state: ChannelState[S], y: Vector) -> Estimate:
+        """Return what is known at a sample y (p,) before any step from it."""
+        lumped = self.observer.estimate(state.lumped, y)
+        return self.reading.read(lumped, _numbers_of(state.lumped.u), state.d_hat, state.directions)[0]
+
+    def step(self, state: ChannelState[S], u: Vector, y: Vector, H: float) -> tuple[ChannelState[S], Estimate]:
+        """Advance by H > 0 s from a sample y (p,), with the input u (m,) held over the step."""
+        after, lumped = self.observer.step(state.lumped, u, y, H)
+        estimate, directions = self.reading.read(lumped, _numbers_of(after.u), state.d_hat, state.directions)
+        return ChannelState(lumped=after, d_hat=estimate.d_hat, directions=later(directions, H)), estimate
+
+
+def _numbers_of(u: Vector | Array) -> Vector:
+    return [float(value) for value in u]
 
 
 def _least_squares(nu: Array, omega: Array) -> tuple[float]:
