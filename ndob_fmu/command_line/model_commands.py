@@ -90,6 +90,22 @@ def add_model_commands(commands: Commands) -> None:
     parser.add_argument(
         "--systems", type=Path, metavar="DIR", help="also these, and packages of the shipped systems in DIR"
     )
+    parser.add_argument(
+        "--target",
+        choices=("python", "native"),
+        default="python",
+        help="native: FMUs in C, with their sources, that need no Python where they run (%(default)s)",
+    )
+    parser.add_argument(
+        "--platforms",
+        nargs="+",
+        choices=("linux64", "win64", "darwin64", "aarch64-linux"),
+        default=[],
+        metavar="NAME",
+        help="of native FMUs: linux64, win64, darwin64, aarch64-linux; others than this machine's need zig's compiler, "
+        "pip install 'ndob-fmu[native]' (default: this machine's)",
+    )
+    parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI, 3 for native FMUs only")
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -133,8 +149,29 @@ def _design(options: argparse.Namespace) -> int:
 
 
 def _build(options: argparse.Namespace) -> int:
+    if options.target == "native":
+        return _build_native(options)
+    if options.platforms or options.fmi != 2:
+        given = "--platforms" if options.platforms else "--fmi 3"
+        raise UsageError.report(f"build {given}", expected="--target native", received="--target python")
     for path in _build_all(options.model, options.out, options.components, options.systems):
         print(path)
+    return 0
+
+
+def _build_native(options: argparse.Namespace) -> int:
+    from ndob_fmu.model.loading import load_model
+    from ndob_fmu.native.build import build_native, build_native_components
+
+    if options.systems is not None:
+        raise UsageError.report("build --systems", expected="--target python", received="--target native")
+    chosen = {"platforms": options.platforms, "fmi": options.fmi}
+    if options.model is not None:
+        for path in build_native(load_model(options.model), options.out, **chosen):
+            print(path)
+    if options.model is None or options.components:
+        for path in build_native_components(options.out, **chosen):
+            print(path)
     return 0
 
 

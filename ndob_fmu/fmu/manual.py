@@ -19,17 +19,18 @@ from ndob_fmu.model.model import Model
 Part = Literal["Plant", "Observer"]
 
 TEXTS = Path(__file__).parent / "documentation"
+_NEEDS = (TEXTS / "externalDependencies.txt").read_text("utf-8")
 
 
-def manual(model: Model, part: Part, variables: Sequence[Variable]) -> str:
-    """Return the page of a model's plant or observer."""
+def manual(model: Model, part: Part, variables: Sequence[Variable], *, needs: str = _NEEDS) -> str:
+    """Return the page of a model's plant or observer; `needs`: as in `page`."""
     of_sample = [f"{d}_at_sample" for d in model.disturbances] + ["valid", "consistency"]
     of_sample += [f"{y}{suffix}" for y in model.outputs for suffix in ("_residual", "_residual_std")]
     lagged = [f"{d}{suffix}" for d in model.disturbances for suffix in ("_lagged", "_lagged_std")]
     instants = dict.fromkeys(of_sample, "t") | dict.fromkeys(lagged, "t − lag")
     template = (TEXTS / f"{part.lower()}.html.jinja").read_text("utf-8")
     shown = {"equations": _equations(model), "turns": bool(model.channel_expressions)}
-    return page(f"{model.name}{part}", model.description, template, variables, instants=instants, **shown)
+    return page(f"{model.name}{part}", model.description, template, variables, instants=instants, needs=needs, **shown)
 
 
 def page(
@@ -39,11 +40,13 @@ def page(
     variables: Sequence[Variable],
     *,
     instants: Mapping[str, str] = MappingProxyType({}),
+    needs: str = _NEEDS,
     **shown: Any,
 ) -> str:
     """Return a page as HTML that needs neither network nor scripts.
 
     template: what is said of this FMU, in Jinja, with {{ variables }} where their tables go, and {{ names }} of `shown`
+    needs: what the FMU needs on the host
     instants: of the outputs that do not belong to t + H, the end of a step
     """
     environment = _environment()
@@ -52,7 +55,7 @@ def page(
         name=name,
         description=description,
         part=Markup(environment.from_string(template).render(variables=Markup(tables), **shown)),
-        dependencies=(TEXTS / "externalDependencies.txt").read_text("utf-8"),
+        needs=needs,
     )
 
 

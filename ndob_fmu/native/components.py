@@ -26,7 +26,9 @@ def _sampling(variables: Variables, device: str, resolution: str, *more: str) ->
     }
     wanted = {f"blocks.{device.lower()}": [*(f"{device}.{name}" for name in ("init", "step", "possible")), *more]}
     names = "".join(f"#define {name} {value}\n" for name, value in defined.items())
-    return component(wanted, [places(variables), part("faults.c"), part("call.c"), names, part("sampling.c")])
+    return component(
+        wanted, [places(variables), part("faults.c"), part("call.c"), part("memory.c"), names, part("sampling.c")]
+    )
 
 
 def _sensor(variables: Variables) -> ComponentCode:
@@ -44,7 +46,9 @@ def _disturbance_source(variables: Variables) -> ComponentCode:
         "blocks.disturbance": ["Generator.__call__"],
         "times": ["same_time"],
     }
-    return component(wanted, [places(variables), part("faults.c"), part("call.c"), part("disturbance_source.c")])
+    return component(
+        wanted, [places(variables), part("faults.c"), part("call.c"), part("memory.c"), part("disturbance_source.c")]
+    )
 
 
 # By the names of `fmu.components.records`.

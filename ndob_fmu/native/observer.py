@@ -1,25 +1,37 @@
 """The observer in C: the printed functions of the model, the translated design and steps, and what keeps their results.
 
-Method 2 so far. `component/sampled.c` says how its functions are called.
+`component/sampled.c` and `component/paper.c` say how the functions of methods 2 and 1 are called.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from math import inf
+from typing import Any
+
+import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit_c import emit_c
 from ndob_fmu.codegen.print_c import RUNTIME
+from ndob_fmu.errors import ModelError
+from ndob_fmu.interface.model_variables import for_each_disturbance, observer_variables
+from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
+from ndob_fmu.native import paper
 from ndob_fmu.native.continued import continued_text
+from ndob_fmu.native.join import joined
+from ndob_fmu.native.runtime_code import array_sources, part, places
+from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk, matrices_thunk, thunk
 from ndob_fmu.native.translate.print_c import translate
 from ndob_fmu.native.variable_table import number, quoted
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations
+from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from ndob_fmu.runtime.step.settings import observer_settings
 
-_HERE = Path(__file__).parent
 _STEP, _DESIGN = "ndob_fmu.runtime.step", "ndob_fmu.runtime.design"
 _TRANSLATED = {
     f"{_STEP}.sampled_step": (
@@ -34,10 +46,27 @@ _TRANSLATED = {
     f"{_STEP}.tuned": ("tune",),
     f"{_STEP}.converged_step": ("converged_step",),
     f"{_DESIGN}.step_designs": ("StepDesigns.at",),
+    f"{_DESIGN}.separability": ("inseparable_offsets", "inseparable_parameters"),
+    f"{_DESIGN}.pace": ("pace_of",),
     "ndob_fmu.runtime.numerics.integrate": ("largest", "next_substep"),
 }
+_PER_DISTURBANCE = {
+    "AT_BOUND": "disturbance_bound",
+    "AT_RATE": "disturbance_rate",
+    "AT_NOMINAL": "disturbance_nominal",
+}
+# Bytes that design and steps compute in, for each number of a state: they hold some tens of matrices of its size.
+_MEMORY_OF_A_NUMBER = 256
 _COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep", "SampledObserverState")
-_PRINTED = ("derivatives", "output", "linearisation", "input_slopes", "sensitivity", "observer_constants")
+_PRINTED = (
+    "nonlinearity",
+    "derivatives",
+    "output",
+    "linearisation",
+    "input_slopes",
+    "sensitivity",
+    "observer_constants",
+)
 
 
 def sampled_observer_text(model: Model) -> list[str]:
@@ -46,16 +75,110 @@ def sampled_observer_text(model: Model) -> list[str]:
     Raises ModelError for an expression that has no C form.
     """
     eq = compile_model(model)
-    only = [f"{module}.{name}" for module, names in _TRANSLATED.items() for name in names]
-    translation = translate(
-        list(_TRANSLATED), "translated", only=only, copied=_COPIED, stored=("SampledObserverState",)
-    )
+    return [*_runtime(_TRANSLATED, _COPIED), *_own_texts(model, eq)]
+
+
+def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list[str]:
+    only = [f"{module}.{name}" for module, names in wanted.items() for name in names]
+    translation = translate(list(wanted), "translated", only=only, copied=copied, stored=("SampledObserverState",))
     if translation.refused:
         raise ValueError(f"functions that do not translate: {next(iter(translation.refused.values()))}")
-    arrays = [(_HERE / "c" / name).read_text("utf-8") for name in ("nd.h", "nd.c", "nd_linear.c")]
-    component = [(_HERE / "component" / name).read_text("utf-8") for name in ("faults.c", "equations.c", "sampled.c")]
-    own = [RUNTIME, *_printed(model, eq), equations_text(eq)]
-    return [*arrays, translation.header, translation.source, *component[:2], *own, component[2]]
+    return [*array_sources(), translation.header, translation.source]
+
+
+def _own_texts(model: Model, eq: Equations) -> list[str]:
+    printed = [RUNTIME, *_printed(model, eq), equations_text(eq)]
+    return [part("faults.c"), part("equations.c"), *printed, part("sampled.c")]
+
+
+def observer_code(model: Model) -> ComponentCode:
+    """Return the component of the model's observer, of both methods.
+
+    Raises ModelError for an expression that has no C form, and for a model whose observer is not built in C.
+    """
+    eq = compile_model(model)
+    variables = observer_variables(eq)
+    if eq.channel is not None:
+        raise ModelError.report(
+            model.name,
+            expected="disturbances that act without a channel",
+            received="a channel, whose observer is not built in C",
+            likely="build with --target python, or write the plant with its own equations (dynamics=)",
+        )
+    own = [places(variables), _sizes(model, eq), _first_places(eq, variables)]
+    texts = [*_own_texts(model, eq), part("paper.c"), *own, part("call.c"), part("observer.c")]
+    runtime = _runtime({**_TRANSLATED, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
+    return ComponentCode(joined([*runtime, *texts], "start show step possible"))
+
+
+def _sizes(model: Model, eq: Equations) -> str:
+    """Return the sizes of the model, and what its observer has to know of it, as C text."""
+    numbers = _numbers(model, eq)
+    sizes = {
+        "STATES": len(eq.states),
+        "INPUTS": len(eq.inputs),
+        "OUTPUTS": len(eq.outputs),
+        "DISTURBANCES": len(eq.disturbances),
+        "PARAMETERS": len(eq.parameters),
+        "FEEDTHROUGH": int(any(eq.feedthrough)),
+        "NUMBERS": numbers,
+        "MEMORY": _MEMORY_OF_A_NUMBER * numbers,
+    }
+    ranges = (eq.ranges.get(name, (-inf, inf)) for name in eq.states)
+    bounds = ", ".join(f"{{{number(low)}, {number(high)}}}" for low, high in ranges)
+    names = ", ".join(map(quoted, eq.parameters)) or '""'
+    return "\n".join(
+        [
+            *(f"#define {name} {value}" for name, value in sizes.items()),
+            f"static const double bounds_of_states[][2] = {{{bounds}}};",
+            f"static const double noise_of_states[] = {{{', '.join(map(number, eq.state_noise))}}};",
+            f"static const char *const fmu_parameter_names[] = {{{names}}};",
+            "",
+        ]
+    )
+
+
+def _first_places(eq: Equations, variables: Sequence[Variable]) -> str:
+    """Return the value references of the first of the variables that belong to states, outputs and disturbances."""
+    reference = {variable.name: i for i, variable in enumerate(variables)}
+    (d, *_) = eq.disturbances
+    of_d = {name: for_each_disturbance(name, eq.disturbances)[d] for name in _PER_DISTURBANCE.values()}
+    first = {
+        "AT_HAT_START": f"{eq.states[0]}_hat_start",
+        "AT_HAT_START_STD": f"{eq.states[0]}_hat_start_std",
+        **{f"AT_{suffix.upper()}": f"{eq.outputs[0]}_{suffix}" for suffix in ("noise_std", "delay", "bias_std")},
+        **{place: of_d[name] for place, name in _PER_DISTURBANCE.items()},
+    }
+    if eq.parameters:
+        name = next(iter(eq.parameters))
+        first |= {"AT_PARAMETERS": name, "AT_PARAMETER_STD": f"{name}_std"}
+    at = {place: reference[name] for place, name in first.items()}
+    return "".join(
+        f"#define {place} {at.get(place, 0)}\n" for place in [*at, *({"AT_PARAMETERS", "AT_PARAMETER_STD"} - at.keys())]
+    )
+
+
+def _numbers(model: Model, eq: Equations) -> int:
+    """Return how many numbers a state has at most: with everything estimated, delays, offsets and a lag."""
+    everything: dict[str, Any] = {
+        "order": HIGHEST_ORDER,
+        "lag": 1.0,
+        "delay": [1.0] * len(eq.outputs),
+        "bias_std": [1.0] * len(eq.outputs),
+        "parameter_std": [1.0] * len(eq.parameters),
+        "estimated": [True] * len(eq.parameters),
+    }
+    observer = sampled_observer(eq, model.parameter_values(), observer_settings(eq, **everything), eq.xhat0)
+    return _count(observer.init(eq.xhat0))
+
+
+def _count(value: Any) -> int:
+    """Return how many numbers a value consists of."""
+    if isinstance(value, np.ndarray):
+        return int(value.size)
+    if isinstance(value, tuple):
+        return sum(map(_count, value))
+    return sum(_count(getattr(value, one.name)) for one in fields(value)) if is_dataclass(value) else 1
 
 
 def _printed(model: Model, eq: Equations) -> list[str]:
@@ -74,6 +197,7 @@ def _printed(model: Model, eq: Equations) -> list[str]:
         "observer_constants": (1, constants),
     }
     thunks = [thunk(name, arity, count) for name, (arity, count) in counts.items()]
+    thunks.append(thunk("nonlinearity", 3, model.vector_field.parts.G_f.cols))
     if eq.matrices:
         q_f = len(eq.matrices(parameters)[3][0])
         thunks.append(matrices_thunk([(n, n), (n, m), (p, n), (n, q_f), (n, q)]))
@@ -102,6 +226,7 @@ def equations_text(eq: Equations) -> str:
         f"equations->experiment.stop_time = {number(eq.experiment.stop_time)};",
         *_ranges(eq),
         *(f"equations->{name}.call = {'continued' if eq.ranges else 'call'}_{name};" for name in functions),
+        "equations->nonlinearity.call = call_nonlinearity;",
         "equations->steps.observer_constants.call = call_observer_constants;",
         "equations->steps.observer_step.call = call_observer_step;",
     ]

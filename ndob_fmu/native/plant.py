@@ -54,6 +54,7 @@ def plant_code(model: Model) -> ComponentCode:
     text = [
         part("faults.c"),
         part("call.c"),
+        part("memory.c"),
         part("equations.c"),
         RUNTIME,
         emit_c(model, _PRINTED),

@@ -23,10 +23,14 @@ def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> Compon
     missing = [f"{name}: {why}" for name, why in translation.refused.items() if name in only]
     if missing:
         raise ValueError(f"functions that do not translate: {missing[0]}")
-    arrays = [(_HERE / "c" / name).read_text("utf-8") for name in _ARRAYS]
     has_end = any(re.search(r"(?m)^static void end\(", text) for text in own)
-    text = joined([*arrays, translation.header, translation.source, *own], "start show step possible end")
+    text = joined([*array_sources(), translation.header, translation.source, *own], "start show step possible end")
     return ComponentCode(text, has_end)
+
+
+def array_sources() -> list[str]:
+    """Return the C texts of the arrays that translated functions work on."""
+    return [(_HERE / "c" / name).read_text("utf-8") for name in _ARRAYS]
 
 
 def part(name: str) -> str:

@@ -49,7 +49,7 @@ class Library:
         self.guid = root.get("guid")
         self.name = root.find("CoSimulation").get("modelIdentifier")
         self.resources = (folder / "resources").as_uri()
-        self.reads_resources = (folder / "resources").is_dir()  # a native FMU needs no files
+        self.is_native = not (folder / "resources").is_dir()  # such an FMU needs no files
         self.variables = _variables(root)
         self.functions = ctypes.CDLL(str(folder / "binaries" / "linux64" / f"{self.name}.so"))
         self.functions.fmi2Instantiate.restype = c_void_p

@@ -131,11 +131,12 @@ def stepped(library: Library, memory: Memory, time: float, size: float) -> set[i
         return {ERROR}
     if not (0.0 < size < inf and abs(time - memory.time) <= TOLERANCE * max(size, memory.last)):
         return {DISCARD}
-    if memory.stop is not None and time + size > memory.stop + TOLERANCE * size:
+    if memory.stop is not None and time + size > memory.stop + max(TOLERANCE * size, 2e-323):
         return {ERROR}
     status = WARNING if holds_inputs(library, memory) else OK
     ordinary = SHORTEST_STEP <= size <= LONGEST_STEP and not wild(library, memory)
-    return {status} if ordinary else {status, DISCARD}
+    # An observer warns of a step that is absurd for its plant.
+    return {status} if ordinary else {status, DISCARD, WARNING}
 
 
 def after_step(library: Library, memory: Memory, time: float, size: float) -> None:

@@ -160,7 +160,7 @@ class Walk:
         wrong = (
             (None, ""),
             (None, b"", other.guid.encode(), library.guid.encode()[:-1]),
-            (None, b"", b"file:///nowhere", other.resources.encode(), b"\xff%") if library.reads_resources else (),
+            (None, b"", b"file:///nowhere", other.resources.encode(), b"\xff%") if not library.is_native else (),
             (0, 2, -1),
             (None,),
         )[place]

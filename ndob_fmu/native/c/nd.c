@@ -391,6 +391,11 @@ const double *nd_read(const double *from, nd x) {
     return from + nd_size(x);
 }
 
+int nd_truncated(nd_arena *a, double x) {
+    if (!(fabs(x) <= DBL_MAX)) nd_raise(a, ND_ARITHMETIC, "cannot convert a number that is not finite to an integer");
+    return x < -INT32_MAX ? -INT32_MAX : x > INT32_MAX ? INT32_MAX : x == x ? (int)x : 0;
+}
+
 int nd_integer(double x) { return x >= -1e9 && x <= 1e9 ? (int)x : -1; }
 
 /* -- forms */

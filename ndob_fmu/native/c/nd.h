@@ -114,6 +114,7 @@ void nd_append(nd_arena *a, nd *x, double value);
 /* Arrays as numbers one after the other; what is read must have its shape already, and lie in one piece. */
 double *nd_write(double *to, nd x);
 const double *nd_read(const double *from, nd x);
+int nd_truncated(nd_arena *a, double x); /* int(x), an error where x is not finite, at most INT32_MAX */
 int nd_integer(double x); /* of a number from outside: -1 where it is none */
 
 /* -- forms */

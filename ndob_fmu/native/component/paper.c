@@ -109,8 +109,13 @@ int paper_step(Paper *self, double *state, nd u, nd y, double H, double *outputs
     PaperObserverState given = paper_state(self, state);
     p2_PaperObserverState_Estimate done = PaperObserver_step(&self->scratch, &self->observer, &given, u, y, H);
     if (self->scratch.error) return self->scratch.error;
+    double *end = write_paper_estimate(outputs, &done.v1);
+    for (const double *output = outputs; output < end; output++)
+        if (!finite_number(*output)) {
+            nd_raise(&self->scratch, ND_INTEGRATION, "the observer's estimate or its error bar leaves the finite numbers");
+            return self->scratch.error;
+        }
     write_paper_state(self, &done.v0, state);
-    (void)write_paper_estimate(outputs, &done.v1);
     return ND_NONE;
 }
 

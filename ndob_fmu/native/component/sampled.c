@@ -147,8 +147,13 @@ static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, d
     p2_SampledObserverState_Estimate done =
         sampled_step_step_by_definition(&self->scratch, &self->prepared, tuned, design_at, &given, u, y, H);
     if (self->scratch.error) return;
+    double *end = write_estimate(outputs, &done.v1);
+    for (const double *output = outputs; output < end; output++)
+        if (!finite_number(*output)) {
+            nd_raise(&self->scratch, ND_INTEGRATION, "the observer's estimate or its error bar leaves the finite numbers");
+            return;
+        }
     (void)write_SampledObserverState(state, &done.v0);
-    (void)write_estimate(outputs, &done.v1);
 }
 
 static int ended(const Sampled *self) { return self->scratch.error; }
@@ -163,7 +168,19 @@ int sampled_start(Sampled *self, nd x_hat) {
 }
 
 /* How many numbers a state has. */
-size_t sampled_state_size(Sampled *self, double *room) { return (size_t)(write_SampledObserverState(room, &self->shape) - room); }
+size_t sampled_state_size(Sampled *self) {
+    double *room = (double *)(void *)(self->scratch.base + self->scratch.used);
+    return (size_t)(write_SampledObserverState(room, &self->shape) - room);
+}
+
+/* Write the first state; returns how many numbers a state has, and writes none where that is more than `most`. */
+size_t sampled_first_state(Sampled *self, double *state, size_t most) {
+    /* What is left of the memory has room for a state, because every step takes copies of it there. */
+    double *room = (double *)(void *)(self->scratch.base + self->scratch.used);
+    size_t count = (size_t)(write_SampledObserverState(room, &self->shape) - room);
+    if (count <= most) memcpy(state, room, count * sizeof(double));
+    return count;
+}
 
 /* Advance a state by H from a sample y, with the input u held. `outputs`: the fields of Estimate but for x_at_sample. */
 int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
@@ -174,12 +191,13 @@ int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *out
     return ended(self);
 }
 
-/* What is known at a sample before any step from it. */
-int sampled_show(Sampled *self, const double *state, nd y, double *outputs) {
+/* What is known at a sample before any step from it. `u`: the inputs now, or NULL for those of the state. */
+int sampled_show(Sampled *self, const double *state, const double *u, nd y, double *outputs) {
     if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     SampledObserverState given = given_state(self, state);
+    if (u) given.u = nd_view_of(nd_len(given.u), u);
     Estimate known = sampled_step_estimate_before_a_step(&self->scratch, &self->prepared, &given, y);
     if (!self->scratch.error) (void)write_estimate(outputs, &known);
     return ended(self);

@@ -90,7 +90,7 @@ struct Instance {
 
 /* The bytes of an instance of that name. */
 static size_t instance_size(const char *name);
-/* Set up an instance in such a block, and give it a handle; NULL, with a message, where there are too many. */
+/* Set up an instance in such a block of zeros, and give it a handle; NULL, with a message, where there are too many. */
 static Instance *instance_in(void *block, const char *name, Log log);
 static void instance_free(Instance *self); /* but for its block */
 /* Begin a call: the instance, or NULL (which means an error) if the handle is invalid or the call not allowed now. */

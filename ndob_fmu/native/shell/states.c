@@ -94,7 +94,7 @@ static bool given(Instance *self, const char *function, const void *place) {
 }
 
 /* Give the host a handle, or overwrite the state that `handle` holds already. */
-static bool keep(Instance *self, const char *function, Saved *saved, void **handle) {
+static bool hand_out(Instance *self, const char *function, Saved *saved, void **handle) {
     Saved *before = *handle ? handle_enter(STATE_HANDLES, *handle) : NULL;
     if (before) {
         memcpy(before, saved, sizeof *saved + contents_size());
@@ -114,7 +114,7 @@ bool state_get(Instance *self, const char *function, void **handle) {
     Saved *saved = new_saved(self, function);
     if (!saved) return false;
     save(self, saved);
-    return keep(self, function, saved, handle);
+    return hand_out(self, function, saved, handle);
 }
 
 bool state_set(Instance *self, const char *function, void *handle) {
@@ -272,7 +272,7 @@ bool state_read(Instance *self, const char *function, const unsigned char bytes[
             free(present);
         }
     }
-    if (!wrong) return keep(self, function, saved, handle);
+    if (!wrong) return hand_out(self, function, saved, handle);
     free(saved);
     say_error(self, function, "the bytes of a state of this FMU", wrong);
     return false;

@@ -47,10 +47,9 @@ class PythonCalls(NumpyCalls):
 
     def _of_int(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
         value = self.expression(node.args[0])
-        return Value(
-            f"(int)({self.as_number(value, FLOAT, node)})" if value.kind == FLOAT else self.as_number(value, INT, node),
-            INT,
-        )
+        if value.kind == FLOAT:
+            return self.called(f"nd_truncated(arena, {value.text})", INT, fails=True)
+        return Value(self.as_number(value, INT, node), INT)
 
     def _of_bool(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
         return Value(self.truth(node.args[0]), BOOL)

@@ -56,6 +56,8 @@ class World:
             return True
         if isinstance(node, ast.Call):
             text = ast.unparse(node.func)
+            if text == "int":  # of a number that is not finite
+                return True
             if (
                 text.startswith("np.linalg.")
                 and text != "np.linalg.qr"

@@ -25,7 +25,8 @@ def inseparable_offsets(
     b ≠ 0: the outputs then stay as they are without offset and disturbance.
     """
     plant = balance(*_linearised(equations, parameters, x_hat, (0.0,) * len(equations.inputs)))
-    (n, q), p = plant.G.shape, len(plant.C)
+    n, q = plant.G.shape
+    p = len(plant.C)
     offsets = np.eye(p)[:, list(biased)]
     both = np.block([[plant.A, plant.G, np.zeros((n, len(biased)))], [plant.C, np.zeros((p, q)), offsets]])
     _, values, directions = np.linalg.svd(both)

@@ -1,0 +1,100 @@
+"""Build native FMUs: plant and observer of a model, and the components that fit any plant."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ndob_fmu.analysis.assumptions import require_own_part
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.fmu.components import records
+from ndob_fmu.fmu.documentation_files import documentation_files
+from ndob_fmu.fmu.fmu_description import FmuDescription
+from ndob_fmu.fmu.icon import draw_icon, model_icon
+from ndob_fmu.fmu.manual import Part, manual, page
+from ndob_fmu.interface.model_variables import observer_variables, plant_variables
+from ndob_fmu.interface.variables import Variable
+from ndob_fmu.model.model import Model
+from ndob_fmu.native.compile import PLATFORMS
+from ndob_fmu.native.components import CODES
+from ndob_fmu.native.observer import observer_code
+from ndob_fmu.native.package import package
+from ndob_fmu.native.plant import plant_code
+from ndob_fmu.native.sources import ComponentCode
+
+_OWN_TEXTS = Path(__file__).parent / "documentation"
+_NEEDS = (_OWN_TEXTS / "externalDependencies.txt").read_text("utf-8")
+
+
+def this_platform() -> str:
+    """Return the name in PLATFORMS of the platform that this process runs on; "" where it is none of them."""
+    system, machine = sys.platform, platform.machine()
+    return next((name for name, one in PLATFORMS.items() if one.runs_here in ((system, machine), (system, ""))), "")
+
+
+def build_native(
+    model: Model, out: str | Path = "build/native/fmus", *, platforms: Sequence[str] = (), fmi: int = 2
+) -> tuple[Path, Path]:
+    """Write `<Name>Plant.fmu` and `<Name>Observer.fmu` in C into the folder `out` and return their paths.
+
+    platforms: names in PLATFORMS; none: this machine's
+    fmi: FMI's version, 2 or 3
+
+    Raises AssumptionError where the model lacks what method 2 needs, ModelError where an expression has no C form, and
+    UsageError where a binary cannot be compiled or the folder not be written.
+    """
+    require_own_part(model)
+    eq, chosen = compile_model(model), _chosen(platforms)
+    parts: tuple[tuple[Part, tuple[Variable, ...], ComponentCode], ...] = (
+        ("Plant", plant_variables(eq), plant_code(model)),
+        ("Observer", observer_variables(eq), observer_code(model)),
+    )
+    plant, observer = (
+        package(
+            Path(out, f"{model.name}{part}.fmu"),
+            FmuDescription(f"{model.name}{part}", model.description, variables, model.experiment),
+            code,
+            _documentation(manual(model, part, variables, needs=_NEEDS), draw_icon(model_icon(model, part))),
+            platforms=chosen,
+            fmi=fmi,
+        )
+        for part, variables, code in parts
+    )
+    return plant, observer
+
+
+def build_native_components(
+    out: str | Path = "build/native/fmus", *, platforms: Sequence[str] = (), fmi: int = 2
+) -> Iterator[Path]:
+    """Write the components that fit any plant in C into the folder `out`, and yield their paths.
+
+    platforms, fmi: as `build_native`
+
+    Raises UsageError as `build_native`.
+    """
+    chosen = _chosen(platforms)
+    for record in records():
+        yield package(
+            Path(out, f"{record.name}.fmu"),
+            FmuDescription(record.name, record.text, record.variables, record.experiment),
+            CODES[record.name](record.variables),
+            _documentation(
+                page(record.name, record.text, record.page, record.variables, needs=_NEEDS), draw_icon(record.icon)
+            ),
+            platforms=chosen,
+            fmi=fmi,
+        )
+
+
+def _chosen(platforms: Sequence[str]) -> Sequence[str]:
+    return platforms or [one for one in [this_platform()] if one]
+
+
+def _documentation(html: str, icon: bytes) -> dict[str, bytes]:
+    """Return the files of the documentation, without those that speak of Python."""
+    files = documentation_files(html, icon)
+    del files["documentation/licenses/pythonfmu.txt"]
+    own = {"externalDependencies.txt": "documentation", "license.txt": "documentation/licenses"}
+    return files | {f"{folder}/{name}": (_OWN_TEXTS / name).read_bytes() for name, folder in own.items()}

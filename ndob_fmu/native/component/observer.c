@@ -1,0 +1,273 @@
+/* `<Name>Observer`: the disturbance observer, one step for each doStep.
+ *
+ * The build defines STATES, INPUTS, OUTPUTS, DISTURBANCES, PARAMETERS, FEEDTHROUGH, MEMORY, NUMBERS, `bounds_of_states`,
+ * `noise_of_states`, and the places of the variables. */
+#include "fmu.h"
+#include "translated.h"
+
+typedef struct {
+    double count; /* of the numbers that are used, which the settings determine; the others are 0 */
+    double numbers[NUMBERS];
+} State;
+
+typedef struct {
+    bool is_paper; /* method 1 */
+    Paper paper;
+    Sampled observer;
+    double estimated[PARAMETERS + 1];
+    double outputs[STATES + 5 * DISTURBANCES + 2 * OUTPUTS + 2];
+    bool has_stepped, has_left[STATES + 1];
+    double memory[MEMORY / sizeof(double)];
+} Core;
+
+static bool fail_in(const Call *call, const Core *core, int error, Status status, const char *where) {
+    const nd_arena *scratch = core->is_paper ? &core->paper.scratch : &core->observer.scratch;
+    if (error > 0) return fail(call, scratch, status, where);
+    say(call->instance, status, "memory", "enough for the design", "less", "a defect of this FMU; report it");
+    return false;
+}
+
+#include <stdio.h>
+
+static nd values_at(const Call *call, int first, int count) { return nd_view_of(count, call->values + first); }
+
+/* -- what is said of the parameters */
+
+static void join(char *line, size_t size, const char *const names[], int count, const char *between) {
+    for (int i = 0; i < count; i++) {
+        if (i) strncat(line, between, size - strlen(line) - 1);
+        strncat(line, names[i], size - strlen(line) - 1);
+    }
+}
+
+/* Say which offsets of sensors a constant disturbance explains as well. */
+static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
+    Sampled *self = &core->observer;
+    nd biased = nd_new(&self->scratch, 1, (int[]){OUTPUTS});
+    int count = 0;
+    for (int i = 0; i < OUTPUTS; i++)
+        if (nd_at(self->settings.sensors.bias_std, i) > 0.0) nd_set(biased, count++, i);
+    biased.n[0] = count;
+    if (!count) return;
+    nd found = separability_inseparable_offsets(&self->scratch, &self->equations, self->parameters, x_hat, biased);
+    for (int k = 0; !self->scratch.error && k < nd_len(found); k++) {
+        const char *name = self->equations.outputs.p[(int)nd_at(found, k)];
+        char line[MESSAGE_SIZE] = "", disturbances[MESSAGE_SIZE] = "";
+        join(disturbances, sizeof disturbances, self->equations.disturbances.p, DISTURBANCES, " or ");
+        snprintf(line, sizeof line,
+                 "%s_bias_std: in the outputs a constant offset of %s looks like a constant %.300s or another offset; the "
+                 "samples cannot tell them apart",
+                 name, name, disturbances);
+        tell(call->instance, WARNING, line);
+    }
+}
+
+/* Find which parameters are estimated; say which cannot be told from a disturbance and are not. */
+static void choose_estimated(const Call *call, Core *core, nd x_hat) {
+    Sampled *self = &core->observer;
+    nd uncertain = nd_new(&self->scratch, 1, (int[]){PARAMETERS});
+    int count = 0;
+    for (int i = 0; i < PARAMETERS; i++) {
+        bool wanted = call->values[AT_estimate_parameters] != 0.0 && nd_at(self->settings.parameter_std, i) > 0.0;
+        core->estimated[i] = wanted ? 1.0 : 0.0;
+        if (wanted) nd_set(uncertain, count++, i);
+    }
+    uncertain.n[0] = count;
+    if (!count) return;
+    nd found = separability_inseparable_parameters(&self->scratch, &self->equations, self->parameters, x_hat,
+                                                   self->settings.x_std, uncertain);
+    for (int k = 0; !self->scratch.error && k < nd_len(found); k++) {
+        int i = (int)nd_at(found, k);
+        const char *name = fmu_parameter_names[i];
+        char line[MESSAGE_SIZE] = "", disturbances[MESSAGE_SIZE] = "";
+        core->estimated[i] = 0.0;
+        join(disturbances, sizeof disturbances, self->equations.disturbances.p, DISTURBANCES, " or ");
+        snprintf(line, sizeof line,
+                 "estimate_parameters: %s is not estimated, because a wrong one has the effect of a %.300s; %s_std widens "
+                 "the error bars only",
+                 name, disturbances, name);
+        tell(call->instance, WARNING, line);
+    }
+}
+
+/* Say where the rate of the disturbance or the step is absurd for the plant; a failure to find out is no failure. */
+static void warn_of_pace(const Call *call, Core *core, double H) {
+    Sampled *self = &core->observer;
+    char line[MESSAGE_SIZE];
+    if (setjmp(self->full)) return;
+    self->scratch.used = 0;
+    Pace pace = pace_pace_of(&self->scratch, &self->equations, self->parameters, values_at(call, AT_HAT_START, STATES),
+                             self->settings.disturbance_bound, self->settings.disturbance_rate, self->settings.order);
+    for (int i = 0; !self->scratch.error && i < DISTURBANCES; i++) {
+        double omega = nd_at(pace.disturbance, i);
+        const char *name = self->equations.disturbances.p[i];
+        if (pace.fastest > 0.0 && omega > 100.0 * pace.fastest) {
+            snprintf(line, sizeof line,
+                     "disturbance_rate lets %s change at %.3g rad/s, %.0f times the plant's fastest mode (%.3g 1/s), so "
+                     "that its estimate will be mostly noise",
+                     name, omega, omega / pace.fastest, pace.fastest);
+            tell(call->instance, WARNING, line);
+        }
+        if (omega * H > 2.0) {
+            snprintf(line, sizeof line,
+                     "disturbance_rate lets %s change at %.3g rad/s, which samples %g s apart cannot follow: a shorter "
+                     "step or a lower rate is needed",
+                     name, omega, H);
+            tell(call->instance, WARNING, line);
+        }
+    }
+    if (self->scratch.error || !(pace.fastest > 0.0)) return;
+    if (H * pace.slowest > 3.0) {
+        snprintf(line, sizeof line,
+                 "the step of %g s is %.3g times the plant's longest time constant (%.3g s): samples show only what has "
+                 "settled; take shorter steps",
+                 H, H * pace.slowest, 1.0 / pace.slowest);
+        tell(call->instance, WARNING, line);
+    }
+    if (H * pace.fastest < 1e-6) {
+        snprintf(line, sizeof line,
+                 "the step of %g s is %.1g of the plant's shortest time constant (%.3g s): samples tell nothing new; "
+                 "take longer steps",
+                 H, H * pace.fastest, 1.0 / pace.fastest);
+        tell(call->instance, WARNING, line);
+    }
+}
+
+/* Say once of each state that its estimate has left its range. */
+static void warn_of_ranges(const Call *call, Core *core) {
+    for (int i = 0; i < STATES; i++) {
+        double value = core->outputs[i], low = bounds_of_states[i][0], high = bounds_of_states[i][1];
+        if (core->has_left[i] || (low <= value && value <= high)) continue;
+        const char *name = core->observer.equations.states.p[i];
+        char line[MESSAGE_SIZE];
+        core->has_left[i] = true;
+        snprintf(line, sizeof line,
+                 "the estimate of %s, %.4g, is outside its range, %g to %g: equations are continued by their tangent "
+                 "there; if %s has left it too, a wider range is needed",
+                 name, value, low, high, name);
+        tell(call->instance, WARNING, line);
+    }
+}
+
+/* -- calls */
+
+static void take_settings(const Call *call, Core *core) {
+    Sampled *self = &core->observer;
+    ObserverSettings *settings = &self->settings;
+    set_equations(&self->equations);
+    self->parameters = values_at(call, AT_PARAMETERS, PARAMETERS);
+    settings->order = (int)call->values[AT_disturbance_order];
+    settings->sensors.noise_std = values_at(call, AT_NOISE_STD, OUTPUTS);
+    settings->sensors.delay = values_at(call, AT_DELAY, OUTPUTS);
+    settings->sensors.bias_std = values_at(call, AT_BIAS_STD, OUTPUTS);
+    settings->disturbance_bound = values_at(call, AT_BOUND, DISTURBANCES);
+    settings->disturbance_nominal = values_at(call, AT_NOMINAL, DISTURBANCES);
+    settings->disturbance_rate = values_at(call, AT_RATE, DISTURBANCES);
+    settings->x_std = values_at(call, AT_HAT_START_STD, STATES);
+    settings->parameter_std = values_at(call, AT_PARAMETER_STD, PARAMETERS);
+    settings->state_noise = nd_view_of(STATES, noise_of_states);
+    settings->estimated = nd_view_of(PARAMETERS, core->estimated);
+    settings->adapt_noise = call->values[AT_adapt_noise] != 0.0;
+    settings->lag = call->values[AT_lag];
+    settings->alpha = call->values[AT_alpha];
+    settings->pi = call->values[AT_pi_end];
+}
+
+static int check_in_memory(const Call *call, Core *core, nd x_hat) {
+    Sampled *self = &core->observer;
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    warn_of_offsets(call, core, x_hat);
+    if (!self->scratch.error) choose_estimated(call, core, x_hat);
+    return self->scratch.error;
+}
+
+static bool can_be_used(const Call *call) {
+    for (int i = 0; call->values[AT_disturbance_order] == 0.0 && i < DISTURBANCES; i++)
+        if (call->values[AT_NOMINAL + i] != 0.0) {
+            say(call->instance, ERROR, "disturbance_nominal", "finite numbers, and 0 with disturbance_order 0",
+                "another number", "");
+            return false;
+        }
+    return true;
+}
+
+/* Take over how many numbers of a state are used. Those that never were are left alone: they take no memory so. */
+static void set_count(State *state, size_t count) {
+    for (size_t i = count; i < (size_t)state->count; i++) state->numbers[i] = 0.0;
+    state->count = (double)count;
+}
+
+static bool start_paper(const Call *call, Core *core) {
+    Paper *self = &core->paper;
+    State *state = call->state;
+    memset(self, 0, sizeof *self);
+    paper_memory(self, core->memory, sizeof core->memory);
+    set_equations(&self->equations);
+    self->parameters = values_at(call, AT_PARAMETERS, PARAMETERS);
+    int error = paper_start(self, call->values[AT_pi_start], call->values[AT_pi_end], call->values[AT_pi_ramp_time],
+                            call->values[AT_alpha], values_at(call, AT_NOISE_STD, OUTPUTS),
+                            values_at(call, AT_BOUND, DISTURBANCES), values_at(call, AT_NOMINAL, DISTURBANCES));
+    if (error) return fail_in(call, core, error, ERROR, "start");
+    size_t count = paper_state_size(self);
+    if (count > NUMBERS) return fail_in(call, core, PAPER_NO_MEMORY, ERROR, "start");
+    paper_first_state(self, values_at(call, AT_HAT_START, STATES), state->numbers);
+    set_count(state, count);
+    return true;
+}
+
+static bool start(const Call *call, double time) {
+    Core *core = call->core;
+    State *state = call->state;
+    nd x_hat = values_at(call, AT_HAT_START, STATES);
+    (void)time;
+    memset(core->has_left, 0, sizeof core->has_left);
+    core->has_stepped = false;
+    core->is_paper = call->values[AT_method] == 1.0;
+    if (core->is_paper) return start_paper(call, core);
+    if (!can_be_used(call)) return false;
+    memset(&core->observer, 0, sizeof core->observer);
+    sampled_memory(&core->observer, core->memory, sizeof core->memory);
+    take_settings(call, core);
+    int error = check_in_memory(call, core, x_hat);
+    if (!error) error = sampled_start(&core->observer, x_hat);
+    if (error) return fail_in(call, core, error, ERROR, "start");
+    size_t count = sampled_first_state(&core->observer, state->numbers, NUMBERS);
+    if (count > NUMBERS) return fail_in(call, core, SAMPLED_NO_MEMORY, ERROR, "start");
+    set_count(state, count);
+    return true;
+}
+
+static bool show(const Call *call) {
+    Core *core = call->core;
+    double *numbers_now = ((State *)call->state)->numbers;
+    nd y = values_at(call, INPUTS, OUTPUTS);
+    int error = core->is_paper ? paper_show(&core->paper, numbers_now, y, call->outputs)
+                               : sampled_show(&core->observer, numbers_now, FEEDTHROUGH ? call->values : NULL, y,
+                                              call->outputs);
+    return !error || fail_in(call, core, error, ERROR, "start");
+}
+
+static bool step(const Call *call, double time, double step_size) {
+    Core *core = call->core;
+    double *numbers_now = ((State *)call->state)->numbers;
+    (void)time;
+    if (!core->has_stepped && !core->is_paper) warn_of_pace(call, core, step_size);
+    core->has_stepped = true;
+    nd u = values_at(call, 0, INPUTS), y = values_at(call, INPUTS, OUTPUTS);
+    int error = core->is_paper ? paper_step(&core->paper, numbers_now, u, y, step_size, core->outputs)
+                               : sampled_step(&core->observer, numbers_now, u, y, step_size, core->outputs);
+    if (error) return fail_in(call, core, error, DISCARD, "step");
+    memcpy(call->outputs, core->outputs, sizeof core->outputs);
+    warn_of_ranges(call, core);
+    return true;
+}
+
+static bool possible(const Call *call, double begin, double now) {
+    Core *core = call->core;
+    State *state = call->state;
+    if (core->is_paper)
+        return state->count == (double)paper_state_size(&core->paper)
+               && paper_possible(&core->paper, state->numbers, now - begin);
+    return state->count == (double)sampled_state_size(&core->observer)
+           && sampled_possible(&core->observer, state->numbers);
+}

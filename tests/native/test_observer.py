@@ -1,0 +1,175 @@
+"""Native observers beside the Python FMUs of the same models, as hosts run them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from random import Random
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+from ndob_fmu.cli import main
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.errors import ModelError
+from ndob_fmu.fmu.build import build_part
+from ndob_fmu.model.loading import load_model
+from ndob_fmu.native.build import build_native
+from ndob_fmu.native.observer import observer_code
+from tests.fuzz.library import Library
+from tests.fuzz.walk import Walk
+from tests.helpers.needs import FRONT
+
+pytestmark = FRONT
+ROOT = Path(__file__).parents[2]
+JOINT, ARM, TANK = (
+    "flexible_joint",
+    *(str(ROOT / "examples" / f"{name}.py") for name in ("two_link_arm", "stirred_tank")),
+)
+STEPS = 600
+# Of a signal's range: gains come from another linear algebra. Without noise they are at the edge of the numbers.
+EQUAL, EQUAL_WITHOUT_NOISE = 1e-9, 1e-6
+CASES = {
+    "method 2": (JOINT, {"noise_std": 1e-5}, EQUAL),
+    "method 2, without noise": (JOINT, {}, EQUAL_WITHOUT_NOISE),
+    "method 2, order 0": (JOINT, {"noise_std": 1e-5, "disturbance_order": 0}, EQUAL),
+    "method 2, order 3, lag": (JOINT, {"noise_std": 1e-5, "disturbance_order": 3, "lag": 0.05}, EQUAL),
+    "method 2, delay and offset": (
+        JOINT,
+        {"noise_std": 1e-5, "link_angle_delay": 0.01, "motor_angle_bias_std": 0.01},
+        EQUAL,
+    ),
+    "method 2, estimated": (JOINT, {"noise_std": 1e-5, "estimate_parameters": True, "gravity_torque_std": 0.1}, EQUAL),
+    "method 1": (JOINT, {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.2}, EQUAL),
+    "two disturbances": (ARM, {}, EQUAL),
+    "ranges": (TANK, {}, EQUAL),
+}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Return the model, its observer as a Python FMU, and its plant and observer as native ones."""
+    known = {}
+
+    def build(name, fmi=2):
+        if (name, fmi) not in known:
+            model, folder = load_model(name), tmp_path_factory.mktemp("observers")
+            known[name, fmi] = (
+                model,
+                build_part(model, "Observer", folder / "python"),
+                *build_native(model, folder, fmi=fmi),
+            )
+        return known[name, fmi]
+
+    return build
+
+
+def samples(model, plant):
+    """Return a log of the plant under a sine of the disturbance, with noise, an outlier, and a gap."""
+    eq, H = compile_model(model), model.experiment.step_size
+    times = np.arange(STEPS + 1) * H
+    inputs = {name: np.full(STEPS + 1, 0.5 * sum(eq.ranges.get(name, (0.0, 0.0)))) for name in eq.inputs}
+    inputs |= {
+        d: nominal + 0.3 * bound * np.sin(0.02 * np.arange(STEPS + 1))
+        for d, nominal, bound in zip(eq.disturbances, eq.disturbance_nominal, eq.disturbance_bound, strict=True)
+    }
+    given = np.array(list(zip(times, *inputs.values(), strict=True)), dtype=[(n, float) for n in ("time", *inputs)])
+    run = fmpy.simulate_fmu(str(plant), stop_time=STEPS * H, step_size=H, output_interval=H, input=given)
+    random, log = np.random.default_rng(7), {"time": times} | {name: inputs[name] for name in eq.inputs}
+    for name, std in zip(eq.outputs, eq.noise_std, strict=True):
+        log[name] = run[name] + (std or 1e-5) * random.standard_normal(STEPS + 1)
+    log[eq.outputs[0]][200] += 0.5
+    log[eq.outputs[-1]][300:310] = np.nan
+    return np.array(list(zip(*log.values(), strict=True)), dtype=[(name, float) for name in log])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_native_observer_gives_the_estimates_of_the_python_fmu(built, case):
+    name, values, bound = CASES[case]
+    model, python, plant, native = built(name)
+    eq, H = compile_model(model), model.experiment.step_size
+    values = dict(values)
+    if "noise_std" in values:
+        std = values.pop("noise_std")
+        values |= {f"{output}_noise_std": std for output in eq.outputs}
+    log = samples(model, plant)
+    expected, found = (
+        fmpy.simulate_fmu(str(fmu), stop_time=STEPS * H, step_size=H, output_interval=H, input=log, start_values=values)
+        for fmu in (python, native)
+    )
+    np.testing.assert_array_equal(found["valid"], expected["valid"])
+    for variable in expected.dtype.names:
+        column, own = (run[variable].astype(float) for run in (expected, found))
+        scale = max(np.ptp(column), np.max(np.abs(column)), 1e-12)
+        if variable == "consistency" and bound == EQUAL_WITHOUT_NOISE:
+            continue  # of residuals that are rounding errors
+        assert np.max(np.abs(own - column)) <= bound * scale, variable
+
+
+def test_fmi_3_gives_the_bits_of_fmi_2(built):
+    model, _, plant, native = built(JOINT)
+    log, H = samples(model, plant), model.experiment.step_size
+    runs = [
+        fmpy.simulate_fmu(str(fmu), stop_time=STEPS * H, step_size=H, output_interval=H, input=log)
+        for fmu in (native, built(JOINT, 3)[3])
+    ]
+    for variable in runs[0].dtype.names:
+        np.testing.assert_array_equal(runs[1][variable], runs[0][variable])
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_model_descriptions_are_valid(built, fmi):
+    for fmu in built(JOINT, fmi)[2:]:
+        assert validate_fmu(str(fmu)) == []
+
+
+def test_a_state_goes_on_as_it_did_in_another_instance_and_from_bytes(built):
+    library = Library(Path(fmpy.extract(str(built(JOINT)[3]))))
+    fmu = fmpy.instantiate_fmu(library.folder, fmpy.read_model_description(str(library.folder)))
+    other = fmpy.instantiate_fmu(library.folder, fmpy.read_model_description(str(library.folder)))
+    inputs, outputs = library.references("Real", "input"), library.references("Real", "output")
+
+    def step(instance, k):
+        instance.setReal(inputs, [0.1, 1.0 + 0.01 * k, 1.0 - 0.01 * k])
+        instance.doStep(k * 1e-3, 1e-3)
+        return instance.getReal(outputs)
+
+    for each in (fmu, other):
+        each.setupExperiment(startTime=0.0)
+        each.enterInitializationMode()
+        each.exitInitializationMode()
+    for k in range(50):
+        step(fmu, k)
+    state = fmu.getFMUState()
+    data = fmu.serializeFMUState(state)
+    expected = [step(fmu, k) for k in range(50, 80)]
+    other.setFMUState(other.deserializeFMUState(data))
+    assert [step(other, k) for k in range(50, 80)] == expected
+    fmu.setFMUState(state)
+    assert [step(fmu, k) for k in range(50, 80)] == expected
+    for each in (fmu, other):
+        each.freeInstance()
+
+
+def test_random_legal_and_illegal_calls_have_the_statuses_of_fmi(built, components):
+    folders = [Path(fmpy.extract(str(fmu))) for fmu in (*built(JOINT)[2:], components["Encoder"])]
+    walk = Walk([Library(folder) for folder in folders], Random(2), lambda _: None)
+    walk.wander(4000)
+    walk.close()
+    assert walk.made >= 4000
+
+
+def test_an_observer_with_a_channel_is_refused_in_one_line():
+    with pytest.raises(ModelError, match="build with --target python"):
+        observer_code(load_model(str(ROOT / "examples" / "tool_on_arm.py")))
+
+
+def test_the_command_builds_native_fmus_and_says_what_fits_which_target(tmp_path, capsys):
+    assert main(["build", JOINT, "--target", "native", "--out", str(tmp_path), "--fmi", "3"]) == 0
+    assert [Path(line).name for line in capsys.readouterr().out.split()] == [
+        "FlexibleJointPlant.fmu",
+        "FlexibleJointObserver.fmu",
+    ]
+    assert main(["build", JOINT, "--fmi", "3", "--out", str(tmp_path)]) == 2
+    assert "build --fmi 3: expected --target native, received --target python" in capsys.readouterr().err
