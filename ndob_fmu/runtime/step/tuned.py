@@ -24,6 +24,8 @@ from ndob_fmu.runtime.step.preparation import PreparedObserver
 
 # A frozen gain that takes f for noise is as good as one that follows f's slopes up to this ratio of predicted errors.
 _AS_GOOD = 1.01
+# The most that f may move a state over a step, in natural units, while a frozen gain takes it for noise.
+_SLOW_F = 0.5
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
     else:
         intensities, error = designs.intensities(H), np.inf  # says why there is no tuning
     freezes = False
-    if f_as_noise is not None:
+    if f_as_noise is not None and _may_freeze(observer) and _f_is_slow(observer, H):
         freezes = f_as_noise[1] <= _AS_GOOD**2 * error and f_as_noise[1] < np.inf
         if freezes:
             intensities = f_as_noise[0]
@@ -76,7 +78,7 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
         filter_model(observer, intensities.scale, 0.25 / bandwidth),
         intensities,
         designs.law(H),
-        freezes=freezes and _may_freeze(observer),
+        freezes=freezes,
     )
 
 
@@ -88,6 +90,13 @@ def _judged(designs: StepDesigns, H: float) -> tuple[Intensities, float] | None:
     except DesignError:
         return None
     return intensities, sum(squared_errors(stationary, designs.known))
+
+
+def _f_is_slow(observer: PreparedObserver, H: float) -> bool:
+    """Return whether the slopes of f at x̂₀ move the states little over a step H (s), so that f can pass for noise."""
+    n, units = observer.layout.n, observer.tracking.system.units[: observer.layout.n]
+    slopes = observer.tracking.system.A[:n, :n] - observer.designs.system.A[:n, :n]
+    return bool(np.max(np.sum(np.abs(slopes * units / units[:, None]), axis=0)) * H <= _SLOW_F)
 
 
 def _may_freeze(observer: PreparedObserver) -> bool:
