@@ -135,7 +135,7 @@ def test_an_uncertain_parameter_widens_the_error_bar(observer, parameter):
     samples = noisy(truth.y, FINE)
     sure, unsure = (observer(samples, **FINE_SENSORS, **{f"{parameter}_std": std}) for std in (0.0, 0.1))
     assert coverage(unsure, truth) > 0.9 > 1.5 * coverage(sure, truth)
-    assert error(unsure, truth) <= error(sure, truth)
+    assert error(unsure, truth) <= (1.0 + 1e-6) * error(sure, truth)  # where it acts as d does, only the bar is another
 
 
 def test_an_uncertain_parameter_is_estimated_where_that_is_asked_for(observer):

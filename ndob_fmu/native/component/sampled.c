@@ -141,6 +141,7 @@ static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, d
     SampledObserverState given = given_state(self, state);
     if (step_with_frozen_gain(self, &given, u, y, H, state, outputs) || self->scratch.error) return;
     double tuned_at = sampled_step_step_to_tune_for(&self->scratch, &self->prepared, &given.memory, H);
+    if (self->scratch.error) return;
     const Tuned *tuned = tuned_for(self, tuned_at);
     if (self->scratch.error) return;
     f_double_double_nd_to_StepDesign design_at = {sampled_design, self};

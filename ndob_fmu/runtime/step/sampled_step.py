@@ -94,7 +94,14 @@ def estimate_before_a_step(observer: PreparedObserver, state: SampledObserverSta
 
 
 def step_to_tune_for(observer: PreparedObserver, memory: FilterMemory, H: float) -> float:
-    """Return the step (s) that the intensities are tuned for, in a step H (s)."""
+    """Return the step (s) that the intensities are tuned for, in a step H (s).
+
+    Raises IntegrationError where that is too long to predict over.
+    """
+    if not observer.longest >= H:
+        raise IntegrationError.report(
+            "communication step", expected=f"at most {observer.longest:.3g} s", received=f"{H:g} s"
+        )
     tuned_at = memory.tuned_at
     if tuned_at == 0.0 or _LONGEST * tuned_at < H:
         default = observer.equations.experiment.step_size
@@ -116,12 +123,8 @@ def step_by_definition(
     tuned: for the step that `step_to_tune_for` returns
     design_at: design_at(H, tuned_at, noise) returns the design for a step H (s), as `StepDesigns.at`
 
-    Raises IntegrationError where the step is too long to predict over, DesignError where it has no design.
+    Raises IntegrationError where the equations cannot be evaluated, DesignError where the step has no design.
     """
-    if not observer.longest >= H:
-        raise IntegrationError.report(
-            "communication step", expected=f"at most {observer.longest:.3g} s", received=f"{H:g} s"
-        )
     memory = replace(state.memory, tuned_at=tuned.H)
     held = u if np.all(np.isfinite(u)) else state.u
     # A sample belongs to the input until then, which outputs with feed-through show. The first one has only this.
