@@ -27,6 +27,7 @@ class Platform:
     targets: zig's names of its processors; of several, one universal binary is made
     options: of the compiler
     runs_here: `sys.platform` and processor on which the system's compiler makes it
+    cross: another compiler that makes it anywhere, with options of its own; empty for none
     """
 
     folders: tuple[str, str]
@@ -34,6 +35,7 @@ class Platform:
     targets: tuple[str, ...]
     options: tuple[str, ...]
     runs_here: tuple[str, str]
+    cross: tuple[str, ...] = ()
 
 
 PLATFORMS: Mapping[str, Platform] = {
@@ -45,7 +47,12 @@ PLATFORMS: Mapping[str, Platform] = {
         ("linux", "x86_64"),
     ),
     "win64": Platform(
-        ("win64", "x86_64-windows"), ".dll", ("x86_64-windows-gnu",), ("-D_WIN32_WINNT=0x0601",), ("win32", "AMD64")
+        ("win64", "x86_64-windows"),
+        ".dll",
+        ("x86_64-windows-gnu",),
+        ("-D_WIN32_WINNT=0x0601", "-D__USE_MINGW_ANSI_STDIO=1"),
+        ("win32", "AMD64"),
+        ("x86_64-w64-mingw32-gcc", "-static", "-Wl,--no-insert-timestamp", "-Wl,--disable-auto-image-base"),
     ),
     "darwin64": Platform(
         ("darwin64", "x86_64-darwin"),
@@ -60,6 +67,7 @@ PLATFORMS: Mapping[str, Platform] = {
         ("aarch64-linux-gnu.2.17",),
         ("-fPIC", "-Wl,--build-id=none"),
         ("linux", "aarch64"),
+        ("aarch64-linux-gnu-gcc",),
     ),
 }
 _OPTIONS = ("-std=c11", "-O2", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
@@ -94,9 +102,13 @@ def _compilers(chosen: Platform, target: str) -> list[list[str]]:
     compiler = wish or [each for each in ("cc", "gcc", "clang") if shutil.which(each)][:1]
     if is_here and compiler and shutil.which(compiler[0]):
         return [compiler]
+    if chosen.cross and shutil.which(chosen.cross[0]):
+        return [list(chosen.cross)]
     raise UsageError.report(
         f"--platforms {target}",
-        expected="zig's compiler" + (", or a C compiler as CC or cc" if is_here else ""),
+        expected="zig's compiler"
+        + (f" or {chosen.cross[0]}" if chosen.cross else "")
+        + (", or a C compiler as CC or cc" if is_here else ""),
         received="none",
         likely="the extra is not installed: pip install 'ndob-fmu[native]'",
     )

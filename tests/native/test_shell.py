@@ -280,10 +280,11 @@ def test_the_same_fmu_has_the_same_bytes_in_another_folder(built, fmi, tmp_path)
 
 def test_a_platform_without_a_compiler_is_refused_and_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(compilers.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(compilers.shutil, "which", lambda name: name if name in ("cc", "gcc") else None)
     with pytest.raises(UsageError) as refused:
         package(tmp_path / "Counter.fmu", *COMPONENTS["Counter"], {}, platforms=["linux64", "win64"])
     assert str(refused.value) == (
-        "--platforms win64: expected zig's compiler, received none; likely cause: the extra is not installed: "
-        "pip install 'ndob-fmu[native]'"
+        "--platforms win64: expected zig's compiler or x86_64-w64-mingw32-gcc, received none; "
+        "likely cause: the extra is not installed: pip install 'ndob-fmu[native]'"
     )
     assert list(tmp_path.iterdir()) == []

@@ -121,6 +121,43 @@ def test_the_folder_that_an_fmu_is_unpacked_in_changes_nothing_in_fmpy(trajector
         np.testing.assert_array_equal(found[folder][variable], column)
 
 
+def test_native_fmus_give_linuxs_trajectories_and_need_no_python(tmp_path):
+    """Plant, observer with both methods, and a component; another libm changes the last digits."""
+    from ndob_fmu.model.loading import load_model
+    from ndob_fmu.native.build import build_native, build_native_components
+
+    platforms = ["linux64", "win64"]
+    fmus = [*build_native(load_model("flexible_joint"), tmp_path, platforms=platforms)]
+    fmus += build_native_components(tmp_path, platforms=platforms)
+    noisy = {"motor_angle_noise_std": 1e-6, "link_angle_noise_std": 1e-5}
+    paper = {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.5}
+    variants = {OBSERVER: {"noise": noisy, "method 1": paper}, "FlexibleJointPlant": {"sine": SINE}}
+    jobs = {
+        f"{fmu.stem} {variant}": (fmu, values)
+        for fmu in fmus
+        for variant, values in variants.get(fmu.stem, {"": {}}).items()
+    }
+    script, found = ROOT / "tests" / "windows" / "simulate.py", []
+    for name, named in (("linux", str), ("windows", windows_path)):
+        (tmp_path / f"{name}.json").write_text(json.dumps({k: (named(f), v) for k, (f, v) in jobs.items()}), "utf-8")
+        words = [named(path) for path in (script, tmp_path / f"{name}.json", tmp_path / f"{name}.npz")]
+        if name == "linux":
+            subprocess.run([sys.executable, *words], check=True, timeout=300)
+        else:
+            done = run(PYTHON / "python.exe", *words)
+            assert (done.returncode, done.stderr) == (0, "")
+        found.append(read(tmp_path / f"{name}.npz"))
+    on_linux, on_windows = found
+    assert len(on_linux) == len(jobs) == 7
+    for job, columns in on_linux.items():
+        for variable, column in columns.items():
+            error = np.nanmax(np.abs(on_windows[job][variable] - column))
+            assert error <= 1e-9 * scale(columns, variable), (job, variable)
+    with zipfile.ZipFile(fmus[1]) as archive:
+        library = archive.read(f"binaries/win64/{OBSERVER}.dll")
+    assert b"python" not in library.lower()
+
+
 class Native:
     """An FMU in a folder, and the C host under wine."""
 
