@@ -112,7 +112,7 @@ def lagged(seeds: Seeds, lag: float) -> list[Figure]:
     found = ours_of(record, lag=lag)
     if "lagged" not in found:
         raise NotAvailableError("an output for `lag` before the sample")
-    d = np.array([[record.disturbance(t - lag)] for t in record.t])
+    d = np.array([np.atleast_1d(record.disturbance(t - lag)) for t in record.t])
     begin = int(STEADY_FROM * len(record.t))
     error = np.abs(found["lagged"] - d)[:, begin:]
     covered = float(np.mean(error <= 2.0 * found["lagged_std"][:, begin:]))
