@@ -10,7 +10,7 @@ It is written from FMI's text and on purpose imports no rule of the package: a w
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf, isfinite
+from math import inf, isfinite, ulp
 
 from .library import DISCARD, ERROR, OK, WARNING, Library, Variable
 
@@ -129,9 +129,10 @@ def set_(library: Library, memory: Memory, references: list[int], values: list) 
 def stepped(library: Library, memory: Memory, time: float, size: float) -> set[int]:
     if memory.mode != STEPPING:
         return {ERROR}
-    if not (0.0 < size < inf and abs(time - memory.time) <= TOLERANCE * max(size, memory.last)):
+    late = abs(time - memory.time)
+    if not (0.0 < size < inf and late <= max(TOLERANCE * max(size, memory.last), 4.0 * ulp(memory.time))):
         return {DISCARD}
-    if memory.stop is not None and time + size > memory.stop + max(TOLERANCE * size, 2e-323):
+    if memory.stop is not None and time + size > memory.stop + max(TOLERANCE * size, 4.0 * ulp(memory.stop)):
         return {ERROR}
     status = WARNING if holds_inputs(library, memory) else OK
     ordinary = SHORTEST_STEP <= size <= LONGEST_STEP and not wild(library, memory)
