@@ -32,7 +32,10 @@ def _missing(reason: str, found: bool) -> pytest.MarkDecorator:
 
 
 C_COMPILER = _missing("expected a C compiler, cc or the one that CC names (Debian: gcc, libc6-dev)", found_c_compiler())
-CMAKE = _missing("expected cmake (Debian: cmake)", bool(shutil.which("cmake")))
+CMAKE = _missing(
+    "expected cmake and a C++ compiler, which it looks for (Debian: cmake, g++)",
+    bool(shutil.which("cmake") and shutil.which("c++")),
+)
 FRONT = _missing(
     "the front of FMUs: expected Linux and a C compiler, cc or the one that CC names (Debian: gcc, libc6-dev)",
     sys.platform == "linux" and found_c_compiler(),
