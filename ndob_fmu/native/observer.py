@@ -23,10 +23,9 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.native import paper
 from ndob_fmu.native.continued import continued_text
 from ndob_fmu.native.join import joined
-from ndob_fmu.native.runtime_code import array_sources, part, places
+from ndob_fmu.native.runtime_code import part, places, runtime_texts
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk, matrices_thunk, thunk
-from ndob_fmu.native.translate.print_c import translate
 from ndob_fmu.native.variable_table import number, quoted
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
@@ -79,16 +78,12 @@ def sampled_observer_text(model: Model) -> list[str]:
 
 
 def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list[str]:
-    only = [f"{module}.{name}" for module, names in wanted.items() for name in names]
-    translation = translate(list(wanted), "translated", only=only, copied=copied, stored=("SampledObserverState",))
-    if translation.refused:
-        raise ValueError(f"functions that do not translate: {next(iter(translation.refused.values()))}")
-    return [*array_sources(), translation.header, translation.source]
+    return runtime_texts(wanted, copied=copied, stored=("SampledObserverState",))
 
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:
     printed = [RUNTIME, *_printed(model, eq), equations_text(eq)]
-    return [part("faults.c"), part("equations.c"), *printed, part("sampled.c")]
+    return [part("faults.c"), part("equations.c"), *printed, part("estimate.c"), part("sampled.c")]
 
 
 def observer_code(model: Model) -> ComponentCode:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.emit_c import emit_c
 from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.model.model import Model
+from ndob_fmu.native.runtime_code import part, runtime_texts
 from ndob_fmu.native.thunks import matrices_thunk, thunk
-from ndob_fmu.native.translate.print_c import translate
 from ndob_fmu.native.variable_table import number, quoted
 from ndob_fmu.runtime.equations import Equations
 
-_HERE = Path(__file__).parent
 # What a component of both methods has to translate, copy and print besides that of method 2.
 TRANSLATED = {
     "ndob_fmu.runtime.step.paper_observer": (
@@ -36,16 +33,9 @@ def paper_observer_text(model: Model) -> list[str]:
     Raises ModelError for an expression that has no C form.
     """
     eq = compile_model(model)
-    only = [f"{module}.{name}" for module, names in TRANSLATED.items() for name in names]
-    translation = translate(list(TRANSLATED), "translated", only=only, copied=COPIED)
-    if translation.refused:
-        raise ValueError(f"functions that do not translate: {next(iter(translation.refused.values()))}")
-    arrays = [(_HERE / "c" / name).read_text("utf-8") for name in ("nd.h", "nd.c", "nd_linear.c")]
-    faults, equations, paper = (
-        (_HERE / "component" / name).read_text("utf-8") for name in ("faults.c", "equations.c", "paper.c")
-    )
     own = [RUNTIME, emit_c(model, PRINTED), *paper_thunks(model, eq), _equations_text(eq)]
-    return [*arrays, translation.header, translation.source, faults, equations, *own, paper]
+    around = [part("faults.c"), part("equations.c"), *own, part("estimate.c"), part("paper.c")]
+    return [*runtime_texts(TRANSLATED, copied=COPIED), *around]
 
 
 def paper_thunks(model: Model, eq: Equations) -> list[str]:

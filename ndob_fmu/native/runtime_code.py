@@ -17,20 +17,24 @@ _ARRAYS = ("nd.h", "nd.c", "nd_linear.c", "nd_random.c")
 
 def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
     """Return a component made of its own texts, of functions of the runtime, by module, and of the arrays."""
-    modules = {f"ndob_fmu.runtime.{module}": names for module, names in wanted.items()}
-    only = [f"{module}.{name}" for module, names in modules.items() for name in names]
-    translation = translate(list(modules), "translated", only=only)
-    missing = [f"{name}: {why}" for name, why in translation.refused.items() if name in only]
-    if missing:
-        raise ValueError(f"functions that do not translate: {missing[0]}")
+    runtime = runtime_texts({f"ndob_fmu.runtime.{module}": names for module, names in wanted.items()})
     has_end = any(re.search(r"(?m)^static void end\(", text) for text in own)
-    text = joined([*array_sources(), translation.header, translation.source, *own], "start show step possible end")
+    text = joined([*runtime, *own], "start show step possible end")
     return ComponentCode(text, has_end)
 
 
-def array_sources() -> list[str]:
-    """Return the C texts of the arrays that translated functions work on."""
-    return [(_HERE / "c" / name).read_text("utf-8") for name in _ARRAYS]
+def runtime_texts(
+    wanted: Mapping[str, Sequence[str]], *, copied: Sequence[str] = (), stored: Sequence[str] = ()
+) -> list[str]:
+    """Return the C texts of the arrays and of the wanted functions, by full name of their module.
+
+    copied, stored: as `translate`
+    """
+    only = [f"{module}.{name}" for module, names in wanted.items() for name in names]
+    translation = translate(list(wanted), "translated", only=only, copied=copied, stored=stored)
+    if translation.refused:
+        raise ValueError(f"functions that do not translate: {next(iter(translation.refused.values()))}")
+    return [*((_HERE / "c" / name).read_text("utf-8") for name in _ARRAYS), translation.header, translation.source]
 
 
 def part(name: str) -> str:

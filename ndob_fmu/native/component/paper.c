@@ -70,15 +70,6 @@ static void write_paper_state(Paper *self, const PaperObserverState *from, doubl
     memcpy(to, state, bytes);
 }
 
-static double *write_paper_estimate(double *to, const Estimate *x) {
-    const nd parts[] = {x->x_hat, x->d_hat, x->d_at_sample, x->d_std, x->d_lagged, x->d_lagged_std, x->residual,
-                        x->residual_std};
-    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++) to = nd_write(to, parts[i]);
-    *to++ = x->valid ? 1.0 : 0.0;
-    *to++ = x->consistency;
-    return to;
-}
-
 /* Make the gains. Returns an error of nd.h, whose message `scratch` holds, or PAPER_NO_MEMORY. */
 int paper_start(Paper *self, double pi_start, double pi_end, double ramp_time, double alpha, nd noise_std, nd bound,
                 nd nominal) {
@@ -109,14 +100,8 @@ int paper_step(Paper *self, double *state, nd u, nd y, double H, double *outputs
     PaperObserverState given = paper_state(self, state);
     p2_PaperObserverState_Estimate done = PaperObserver_step(&self->scratch, &self->observer, &given, u, y, H);
     if (self->scratch.error) return self->scratch.error;
-    double *end = write_paper_estimate(outputs, &done.v1);
-    for (const double *output = outputs; output < end; output++)
-        if (!finite_number(*output)) {
-            nd_raise(&self->scratch, ND_INTEGRATION, "the observer's estimate or its error bar leaves the finite numbers");
-            return self->scratch.error;
-        }
-    write_paper_state(self, &done.v0, state);
-    return ND_NONE;
+    if (write_finite_estimate(&self->scratch, outputs, &done.v1)) write_paper_state(self, &done.v0, state);
+    return self->scratch.error;
 }
 
 /* What is known at a sample before any step from it. */
@@ -126,7 +111,7 @@ int paper_show(Paper *self, const double *state, nd y, double *outputs) {
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);
     Estimate known = PaperObserver_estimate(&self->scratch, &self->observer, &given, y);
-    if (!self->scratch.error) (void)write_paper_estimate(outputs, &known);
+    if (!self->scratch.error) (void)write_estimate(outputs, &known);
     return self->scratch.error;
 }
 

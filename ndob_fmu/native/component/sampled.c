@@ -98,15 +98,6 @@ static const m_ConvergedStep *converged_for(Sampled *self, double H, double tune
     return &self->converged;
 }
 
-static double *write_estimate(double *to, const Estimate *x) {
-    const nd parts[] = {x->x_hat, x->d_hat, x->d_at_sample, x->d_std, x->d_lagged, x->d_lagged_std, x->residual,
-                        x->residual_std};
-    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++) to = nd_write(to, parts[i]);
-    *to++ = x->valid ? 1.0 : 0.0;
-    *to++ = x->consistency;
-    return to;
-}
-
 static SampledObserverState given_state(Sampled *self, const double *state) {
     SampledObserverState given = copied_SampledObserverState(&self->scratch, self->shape);
     (void)read_SampledObserverState(state, &given);
@@ -148,13 +139,7 @@ static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, d
     p2_SampledObserverState_Estimate done =
         sampled_step_step_by_definition(&self->scratch, &self->prepared, tuned, design_at, &given, u, y, H);
     if (self->scratch.error) return;
-    double *end = write_estimate(outputs, &done.v1);
-    for (const double *output = outputs; output < end; output++)
-        if (!finite_number(*output)) {
-            nd_raise(&self->scratch, ND_INTEGRATION, "the observer's estimate or its error bar leaves the finite numbers");
-            return;
-        }
-    (void)write_SampledObserverState(state, &done.v0);
+    if (write_finite_estimate(&self->scratch, outputs, &done.v1)) (void)write_SampledObserverState(state, &done.v0);
 }
 
 static int ended(const Sampled *self) { return self->scratch.error; }

@@ -1,6 +1,6 @@
 """Whole functions in C.
 
-Memory that a function takes is given back when it returns, but for its result (`nd_keep`).
+A function gives back the memory that it took when it returns. Its result stays (`nd_keep`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Statements of Python in C.
 
-What an iteration of a loop takes of the memory is given back when it ends, but for what is used later (`nd_keep`).
+An iteration of a loop gives back the memory that it took when it ends. What is used later stays (`nd_keep`).
 """
 
 from __future__ import annotations
