@@ -20,7 +20,8 @@ from ndob_fmu.cosim.ssp.write import write_system
 from ndob_fmu.cosim.system.system import System
 from ndob_fmu.cosim.values import convert
 from ndob_fmu.errors import CouplingError
-from ndob_fmu.fmu.start_values import restarted, takes_start_values
+from ndob_fmu.fmu import start_values as of_python
+from ndob_fmu.native import start_values as of_native
 
 
 def build_ssp(
@@ -74,11 +75,13 @@ def fmu_with_start_values(fmu: str | Path, values: Mapping[str, Value]) -> bytes
     path = Path(fmu)
     variables = {variable.name: variable for variable in read_description(path).variables}
     with open_archive(path) as archive:
-        if not values or not takes_start_values(archive.namelist()):
-            return path.read_bytes()
         contents = {entry: archive.read(entry.filename) for entry in archive.infolist()}
+    files = {entry.filename: data for entry, data in contents.items()}
+    build = next((one for one in (of_python, of_native) if one.takes_start_values(files)), None)
+    if build is None or not values:
+        return path.read_bytes()
     starts = {name: _start(path, variables, name, value) for name, value in values.items()}
-    files = restarted({entry.filename: data for entry, data in contents.items()}, starts)
+    files = build.restarted(files, starts)
     packed = BytesIO()
     with zipfile.ZipFile(packed, "w") as target:
         for entry in contents:

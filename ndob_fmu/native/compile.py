@@ -57,7 +57,7 @@ PLATFORMS: Mapping[str, Platform] = {
     "darwin64": Platform(
         ("darwin64", "x86_64-darwin"),
         ".dylib",
-        ("x86_64-macos.11", "aarch64-macos.11"),
+        ("x86_64-macos.11.0", "aarch64-macos.11.0"),
         ("-Wl,-install_name,@rpath/model.dylib",),
         ("darwin", ""),
     ),

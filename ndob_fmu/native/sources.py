@@ -11,6 +11,7 @@ import fmpy
 
 from ndob_fmu.fmu.rules_header import rules_header
 from ndob_fmu.interface.variables import Variable
+from ndob_fmu.native.start_values import first_values
 from ndob_fmu.native.variable_table import counts, quoted, variable_table
 
 SHELL = Path(__file__).parent / "shell"
@@ -55,7 +56,7 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
     token: guid in FMI 2, instantiationToken in FMI 3
     fmi: FMI's version, 2 or 3
     """
-    members = f".token = {quoted(token)}, {counts(variables)}, .core_size = sizeof(Core), .state_size = sizeof(State)"
+    members = f"{counts(variables)}, .core_size = sizeof(Core), .state_size = sizeof(State)"
     names = ("start", "show", "step", "possible", *(("end",) if code.has_end else ()))
     functions = ", ".join(f".{function} = {function}" for function in names)
     parts = [
@@ -63,6 +64,7 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         _without_local_includes(SHELL / "fmu.h"),
         code.text,
         variable_table(variables),
+        first_values(token, variables),
         f"static const Fmu fmu = {{{members}, {functions}}};\n",
         rules_header(),
         _without_local_includes(SHELL / "shell.h"),

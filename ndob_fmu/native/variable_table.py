@@ -44,15 +44,12 @@ def counts(variables: Sequence[Variable]) -> str:
 
 def _entry(variable: Variable) -> str:
     """Return the initialiser of a `Variable`."""
-    is_text = variable.type == "String"
     least, most = _limits(variable)
     expected = expected_value(variable) if variable.causality == "parameter" else ""
     fields = (
         quoted(variable.name),
         f"'{_TYPES[variable.type]}'",
         f"'{ROLE_LETTERS[role(variable)]}'",
-        number(0.0 if is_text or variable.start is None else float(variable.start)),
-        quoted(str(variable.start or "")) if is_text else "NULL",
         number(least),
         number(most),
         "true" if variable.positive else "false",

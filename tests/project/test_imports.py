@@ -83,7 +83,7 @@ ALLOWED = {
     "cosim": (*LEAVES, "runtime.base_errors", "results"),
     "study": (*LEAVES, "results", "cosim"),
     "report": (*LEAVES, "results", "study"),
-    "packages": (*LEAVES, "fmu", "cosim"),
+    "packages": (*LEAVES, "fmu", "native", "cosim"),
     "demo": (*LEAVES, "results", "cosim"),
     "command_line": (
         *LEAVES,

@@ -43,6 +43,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     bool named = name && *name && is_utf8(name);
     Log log = {send_message, (Function *)functions->logger, functions->componentEnvironment, named ? name : "unnamed",
                logging != fmi2False, ALL_CATEGORIES, OK};
+    char own[TOKEN_SIZE];
+    own_token(own);
     Instance nobody; /* who can only log */
     nobody.log = log;
     const char *function = "fmi2Instantiate";
@@ -52,8 +54,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     } else if (type != fmi2CoSimulation) {
         say_error(&nobody, function, "fmi2CoSimulation",
                   type == fmi2ModelExchange ? "fmi2ModelExchange" : "an unknown type");
-    } else if (!guid || strcmp(guid, fmu.token) != 0) {
-        say(&nobody, ERROR, "fmi2Instantiate: fmuGUID", fmu.token, guid ? guid : "NULL",
+    } else if (!guid || strcmp(guid, own) != 0) {
+        say(&nobody, ERROR, "fmi2Instantiate: fmuGUID", own, guid ? guid : "NULL",
             "a modelDescription.xml of another build");
     } else {
         void *block = calloc(1, instance_size(name));

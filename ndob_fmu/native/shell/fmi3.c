@@ -41,6 +41,8 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     bool named = name && *name && is_utf8(name);
     Log log = {send_message, (Function *)log_message_to, environment, named ? name : "unnamed", logging, ALL_CATEGORIES,
                OK};
+    char own[TOKEN_SIZE];
+    own_token(own);
     Instance nobody; /* who can only log */
     nobody.log = log;
     const char *function = "fmi3InstantiateCoSimulation";
@@ -50,8 +52,8 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     } else if (event_mode || intermediate_count) {
         say_error(&nobody, function, "no event mode and no intermediate variables",
                   event_mode ? "event mode" : "intermediate variables");
-    } else if (!token || strcmp(token, fmu.token) != 0) {
-        say(&nobody, ERROR, "fmi3InstantiateCoSimulation: instantiationToken", fmu.token, token ? token : "NULL",
+    } else if (!token || strcmp(token, own) != 0) {
+        say(&nobody, ERROR, "fmi3InstantiateCoSimulation: instantiationToken", own, token ? token : "NULL",
             "a modelDescription.xml of another build");
     } else {
         void *block = calloc(1, instance_size(name));

@@ -20,14 +20,13 @@ static bool not_a_number(double number) { return !(fabs(number) <= HUGE_VAL); }
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 
 #define TEXT_SIZE 1024 /* bytes of the value of a String variable, its end included */
+#define TOKEN_SIZE 40
 #define MESSAGE_SIZE 1200 /* bytes of 300 characters in UTF-8 */
 
 typedef struct {
     const char *name;
     char type; /* R, I, E (an enumeration), B, S */
     char role; /* i input, f fixed parameter, t tunable parameter, o what is calculated */
-    double start;
-    const char *text; /* start value of a String; else NULL */
     double least, most; /* of a parameter's value */
     bool above; /* the least value is itself not allowed */
     const char *expected; /* of a parameter, for a message; NULL where every value is good */
@@ -47,7 +46,6 @@ typedef struct {
 } Call;
 
 typedef struct {
-    const char *token; /* guid in FMI 2, instantiationToken in FMI 3 */
     const Variable *variables; /* by value reference */
     uint32_t count;
     uint32_t first_output, output_count;
@@ -62,6 +60,10 @@ typedef struct {
 } Fmu;
 
 static const Fmu fmu;
+
+/* Beside it the build writes `first_values`: the token, which is guid in FMI 2 and instantiationToken in FMI 3, and the
+ * start values of all variables and of the String variables. A packed system has its own, which start_values.py writes
+ * into sources and binaries alike. Volatile, so that no compiler computes with what stands in the source. */
 
 /* Say what was expected and received, in one line of at most 300 characters; `likely` may be empty. */
 static void say(Instance *self, Status status, const char *where, const char *expected, const char *received,

@@ -32,12 +32,18 @@ static Places places(const char *name) {
 
 size_t instance_size(const char *name) { return places(name).end; }
 
+static void copy_first(const volatile char *from, char *to, size_t size) {
+    for (size_t i = 0; i < size; i++) to[i] = from[i];
+}
+
+void own_token(char token[TOKEN_SIZE]) { copy_first(first_values.token, token, TOKEN_SIZE); }
+
 static void start_afresh(Instance *self) {
     memset(&self->progress, 0, sizeof self->progress);
     self->progress.mode = INSTANTIATED;
     for (uint32_t i = 0; i < fmu.count; i++) {
-        self->values[i] = fmu.variables[i].start;
-        if (fmu.variables[i].type == 'S') set_text(self, i, fmu.variables[i].text);
+        self->values[i] = first_values.numbers[i];
+        if (fmu.variables[i].type == 'S') copy_first(first_values.texts[text_place(i)], self->texts[text_place(i)], TEXT_SIZE);
     }
 }
 

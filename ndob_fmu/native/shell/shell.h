@@ -62,6 +62,8 @@ static void environment_leave(Environment host);
 
 /* -- instance.c: what both versions of FMI ask for */
 
+static void own_token(char token[TOKEN_SIZE]);
+
 typedef struct {
     double start, stop, now, step_size; /* s; `stop` counts where there is one */
 } Clock;

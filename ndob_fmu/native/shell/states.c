@@ -156,6 +156,12 @@ static uint64_t hashed(const void *data, size_t size) {
     return hash;
 }
 
+static uint64_t token_hash(void) {
+    char token[TOKEN_SIZE];
+    own_token(token);
+    return hashed(token, strlen(token));
+}
+
 bool state_size(Instance *self, const char *function, void *handle, size_t *size) {
     Saved *saved = given(self, function, size) ? taken(self, function, handle) : NULL;
     if (!saved) return false;
@@ -172,7 +178,7 @@ bool state_write(Instance *self, const char *function, void *handle, unsigned ch
         unsigned char *contents = bytes + sizeof(Head);
         memcpy(contents, &saved->progress, sizeof(Progress));
         memcpy(contents + sizeof(Progress), (char *)saved + sizeof *saved, contents_size());
-        Head head = {"", hashed(fmu.token, strlen(fmu.token)), sizeof(Progress) + contents_size(),
+        Head head = {"", token_hash(), sizeof(Progress) + contents_size(),
                      hashed(contents, sizeof(Progress) + contents_size())};
         memcpy(head.magic, MAGIC, sizeof MAGIC);
         memcpy(bytes, &head, sizeof head);
@@ -242,7 +248,7 @@ static const char *fault(const unsigned char bytes[], size_t size) {
     if (size < sizeof head) return "bytes that are no FMU state";
     memcpy(&head, bytes, sizeof head);
     if (memcmp(head.magic, MAGIC, sizeof MAGIC) != 0) return "bytes that are no FMU state";
-    if (head.token != hashed(fmu.token, strlen(fmu.token))) return "the state of another FMU, or of another build of this one";
+    if (head.token != token_hash()) return "the state of another FMU, or of another build of this one";
     if (head.size > size - sizeof head || size < written_size()) return "a state that was cut off";
     if (head.size != written_size() - sizeof head || head.hash != hashed(bytes + sizeof head, (size_t)head.size))
         return "a state that was damaged";
