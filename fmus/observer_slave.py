@@ -10,13 +10,12 @@ from typing import Any
 from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
-from ndob_fmu.interface.model_variables import METHODS, for_each_disturbance, observer_variables
-from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
-from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_rate
+from ndob_fmu.interface.model_variables import METHODS, observer_variables
+from ndob_fmu.interface.told_observer import for_disturbances, nominal, told_observer
+from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.design.lumping import lumped, lumped_bound
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
-from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.schedule import PiSchedule
-from ndob_fmu.runtime.design.separability import inseparable_offsets, inseparable_parameters
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.numerics.hold import History
 from ndob_fmu.runtime.step.channel_observer import ChannelState, read_out
@@ -30,8 +29,7 @@ from ndob_fmu.runtime.step.filter_state import (
 )
 from ndob_fmu.runtime.step.observer import Estimate, Observer
 from ndob_fmu.runtime.step.paper_observer import PaperObserver, PaperObserverState, paper_observer
-from ndob_fmu.runtime.step.sampled_observer import SampledObserver, sampled_observer
-from ndob_fmu.runtime.step.settings import observer_settings
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 
 # Takes state, inputs with outputs, and the step size; returns the state and the slave's outputs, or None.
 _QuickStep = Callable[[Any, Sequence[float], float], tuple[Any, Sequence[Any], Any] | None]
@@ -118,33 +116,11 @@ class ObserverSlave(Slave):
             alpha=self.value("alpha"),
             noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, self._for_disturbances("disturbance_bound")),
-            disturbance_nominal=self._nominal(),
+            disturbance_nominal=nominal(self.equations, self.value),
         )
 
     def _sampled(self) -> SampledObserver:
-        plant, parameters = continued(lumped(self.equations)), self.values(self.equations.parameters)
-        order = self.value("disturbance_order")
-        bound, rate = (self._for_disturbances(name) for name in ("disturbance_bound", "disturbance_rate"))
-        x_hat, x_std = self._for_states("hat_start"), self._for_states("hat_start_std")
-        sensors = {name: self._for_outputs(name) for name in ("noise_std", "delay", "bias_std")}
-        parameter_std = self.values(f"{name}_std" for name in plant.parameters)
-        self._warn_of_offsets(plant, parameters, x_hat, sensors["bias_std"])
-        settings = observer_settings(
-            plant,
-            **sensors,
-            order=order,
-            disturbance_bound=lumped_bound(self.equations, bound),
-            disturbance_nominal=self._nominal(),
-            disturbance_rate=lumped_rate(self.equations, bound, rate, order=order),
-            x_std=x_std,
-            parameter_std=parameter_std,
-            adapt_noise=self.value("adapt_noise"),
-            estimated=self._estimated(plant, parameters, x_hat, x_std, parameter_std),
-            lag=self.value("lag"),
-            alpha=self.value("alpha"),
-            pi=self.value("pi_end"),
-        )
-        return sampled_observer(plant, parameters, settings, x_hat)
+        return told_observer(self.equations, self.value, lambda text: self.log(text, Fmi2Status.warning))
 
     def _warn_of_pace(self, step_size: float) -> None:
         """Log where the rate of the disturbance or the step is absurd for the plant; method 1 uses no rate."""
@@ -174,43 +150,6 @@ class ObserverSlave(Slave):
                     Fmi2Status.warning,
                 )
 
-    def _warn_of_offsets(self, plant: Equations, parameters: Vector, x_hat: Vector, bias_std: Vector) -> None:
-        """Log which offsets of sensors a constant disturbance explains as well."""
-        biased = [i for i, std in enumerate(bias_std) if std > 0.0]
-        for i in inseparable_offsets(plant, parameters, x_hat, biased) if biased else ():
-            name, disturbances = plant.outputs[i], " or ".join(self.equations.disturbances)
-            self.log(
-                f"{name}_bias_std: in the outputs a constant offset of {name} looks like a constant {disturbances} or "
-                f"another offset; the samples cannot tell them apart",
-                Fmi2Status.warning,
-            )
-
-    def _estimated(
-        self, plant: Equations, parameters: Vector, x_hat: Vector, x_std: Vector, parameter_std: Vector
-    ) -> list[bool]:
-        """Return which parameters are estimated; log which cannot be told from a disturbance and are not."""
-        wanted = [self.value("estimate_parameters") and std > 0.0 for std in parameter_std]
-        uncertain = [i for i, one in enumerate(wanted) if one]
-        names, disturbances = list(plant.parameters), " or ".join(self.equations.disturbances)
-        for i in inseparable_parameters(plant, parameters, x_hat, x_std, uncertain) if uncertain else ():
-            wanted[i] = False
-            self.log(
-                f"estimate_parameters: {names[i]} is not estimated, because a wrong one has the effect of a "
-                f"{disturbances}; {names[i]}_std widens the error bars only",
-                Fmi2Status.warning,
-            )
-        return wanted
-
-    def _nominal(self) -> list[float]:
-        """Return the nominal value of each unknown input. Raises DesignError where a channel cannot have any."""
-        nominal = self._for_disturbances("disturbance_nominal")
-        channel = self.equations.channel
-        if channel is None:
-            return nominal
-        if any(nominal):
-            raise DesignError.report("disturbance_nominal", expected="0 with a channel", received=f"{nominal[0]:g}")
-        return [0.0] * len(channel.bound)
-
     def _for_states(self, suffix: str) -> list[float]:
         return self.values(f"{name}_{suffix}" for name in self.equations.states)
 
@@ -218,7 +157,7 @@ class ObserverSlave(Slave):
         return self.values(f"{name}_{suffix}" for name in self.equations.outputs)
 
     def _for_disturbances(self, name: str) -> list[float]:
-        return self.values(for_each_disturbance(name, self.equations.disturbances).values())
+        return for_disturbances(self.equations, self.value, name)
 
 
 def _outputs(estimate: Estimate) -> list[Any]:
