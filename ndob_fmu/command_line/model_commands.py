@@ -161,7 +161,7 @@ def _build(options: argparse.Namespace) -> int:
 
 def _build_native(options: argparse.Namespace) -> int:
     from ndob_fmu.model.loading import load_model
-    from ndob_fmu.native.build import build_native, build_native_components
+    from ndob_fmu.native.build import build_native, build_native_components, build_native_controller
 
     if options.systems is not None:
         raise UsageError.report("build --systems", expected="--target python", received="--target native")
@@ -172,6 +172,8 @@ def _build_native(options: argparse.Namespace) -> int:
     if options.model is None or options.components:
         for path in build_native_components(options.out, **chosen):
             print(path)
+    if options.model is not None and options.components:
+        print(build_native_controller(load_model(options.model), options.out, **chosen))
     return 0
 
 

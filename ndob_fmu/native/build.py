@@ -1,4 +1,4 @@
-"""Build native FMUs: plant and observer of a model, and the components that fit any plant."""
+"""Build native FMUs: plant, observer and controller of a model, and the components that fit any plant."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ndob_fmu.analysis.assumptions import require_own_part
+from ndob_fmu.analysis.controller_design import design_controller
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.fmu.components import records
+from ndob_fmu.fmu.controller import controller_record
 from ndob_fmu.fmu.documentation_files import documentation_files
 from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.icon import draw_icon, model_icon
 from ndob_fmu.fmu.manual import Part, manual, page
+from ndob_fmu.fmu.record import ComponentRecord
 from ndob_fmu.interface.model_variables import observer_variables, plant_variables
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.native.compile import PLATFORMS
 from ndob_fmu.native.components import CODES
+from ndob_fmu.native.controller import controller_code
 from ndob_fmu.native.observer import observer_code
 from ndob_fmu.native.package import package
 from ndob_fmu.native.plant import plant_code
@@ -76,16 +80,44 @@ def build_native_components(
     """
     chosen = _chosen(platforms)
     for record in records():
-        yield package(
-            Path(out, f"{record.name}.fmu"),
-            FmuDescription(record.name, record.text, record.variables, record.experiment),
-            CODES[record.name](record.variables),
-            _documentation(
-                page(record.name, record.text, record.page, record.variables, needs=_NEEDS), draw_icon(record.icon)
-            ),
-            platforms=chosen,
-            fmi=fmi,
-        )
+        yield _component(record, CODES[record.name](record.variables), out, chosen, fmi)
+
+
+def build_native_controller(
+    model: Model,
+    out: str | Path = "build/native/fmus",
+    *,
+    regulated: Sequence[str] | None = None,
+    pace: float | None = None,
+    platforms: Sequence[str] = (),
+    fmi: int = 2,
+) -> Path:
+    """Write `<Name>Controller.fmu` in C into the folder `out` and return its path.
+
+    regulated, pace: as `design_controller`
+    platforms, fmi: as `build_native`
+
+    Raises what `design_controller` raises, ModelError where an expression has no C form, and UsageError as
+    `build_native`.
+    """
+    feedback = design_controller(model, regulated=regulated, pace=pace).feedback
+    record = controller_record(model, feedback)
+    return _component(record, controller_code(model, feedback), out, _chosen(platforms), fmi)
+
+
+def _component(
+    record: ComponentRecord, code: ComponentCode, out: str | Path, platforms: Sequence[str], fmi: int
+) -> Path:
+    return package(
+        Path(out, f"{record.name}.fmu"),
+        FmuDescription(record.name, record.text, record.variables, record.experiment),
+        code,
+        _documentation(
+            page(record.name, record.text, record.page, record.variables, needs=_NEEDS), draw_icon(record.icon)
+        ),
+        platforms=platforms,
+        fmi=fmi,
+    )
 
 
 def _chosen(platforms: Sequence[str]) -> Sequence[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from ndob_fmu.native.variable_table import number
 from ndob_fmu.runtime.equations import Equations
 
+CONTINUED = ("derivatives", "output", "linearisation", "input_slopes", "sensitivity")
 _SOURCE = Path(__file__).parent / "component" / "continued.c"
 
 

@@ -14,18 +14,17 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.codegen.emit_c import emit_c
-from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.errors import ModelError
 from ndob_fmu.interface.model_variables import for_each_disturbance, observer_variables
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.native import paper
-from ndob_fmu.native.continued import continued_text
+from ndob_fmu.native.continued import CONTINUED, continued_text
+from ndob_fmu.native.equations import USED_BY_PRINTED, equations_text, function_texts
 from ndob_fmu.native.join import joined
 from ndob_fmu.native.runtime_code import part, places, runtime_texts
 from ndob_fmu.native.sources import ComponentCode
-from ndob_fmu.native.thunks import converged_step_thunk, matrices_thunk, thunk
+from ndob_fmu.native.thunks import converged_step_thunk
 from ndob_fmu.native.variable_table import number, quoted
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
@@ -47,7 +46,7 @@ _TRANSLATED = {
     f"{_DESIGN}.step_designs": ("StepDesigns.at",),
     f"{_DESIGN}.separability": ("inseparable_offsets", "inseparable_parameters"),
     f"{_DESIGN}.pace": ("pace_of",),
-    "ndob_fmu.runtime.numerics.integrate": ("largest", "next_substep"),
+    **USED_BY_PRINTED,
 }
 _PER_DISTURBANCE = {
     "AT_BOUND": "disturbance_bound",
@@ -82,8 +81,7 @@ def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list
 
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:
-    printed = [RUNTIME, *_printed(model, eq), equations_text(eq)]
-    return [part("faults.c"), part("equations.c"), *printed, part("estimate.c"), part("sampled.c")]
+    return [part("faults.c"), *_printed(model, eq), part("estimate.c"), part("sampled.c")]
 
 
 def observer_code(model: Model) -> ComponentCode:
@@ -177,85 +175,17 @@ def _count(value: Any) -> int:
 
 
 def _printed(model: Model, eq: Equations) -> list[str]:
-    """Return the printed functions and their thunks."""
+    """Return the printed functions, their thunks, and `set_equations`."""
     n, m, p, q = len(eq.states), len(eq.inputs), len(eq.outputs), len(eq.disturbances)
-    parameters = model.parameter_values()
-    constants = len(eq.steps.observer_constants(parameters))
-    names = [*_PRINTED, "observer_step", *(("matrices",) if eq.matrices else ())]
-    text = emit_c(model, names)
-    counts = {
-        "derivatives": (4, n),
-        "output": (3, p),
-        "linearisation": (4, (n + p) * (n + q)),
-        "input_slopes": (4, (n + p) * m),
-        "sensitivity": (4, (n + p) * len(parameters)),
-        "observer_constants": (1, constants),
-    }
-    thunks = [thunk(name, arity, count) for name, (arity, count) in counts.items()]
-    thunks.append(thunk("nonlinearity", 3, model.vector_field.parts.G_f.cols))
-    if eq.matrices:
-        q_f = len(eq.matrices(parameters)[3][0])
-        thunks.append(matrices_thunk([(n, n), (n, m), (p, n), (n, q_f), (n, q)]))
-    head = next(line for line in text.splitlines() if line.startswith("static int observer_step("))
+    names = [*_PRINTED, *(("matrices",) if eq.matrices else ())]
+    texts = function_texts(model, eq, names, ["observer_step"])
+    head = next(line for text in texts for line in text.splitlines() if line.startswith("static int observer_step("))
     outputs = n + 5 * q + 2 * p + 2
     fields = re.findall(r"_gain_(\w+)", head)
-    thunks.append(converged_step_thunk(fields, [n + 3 * q, n + 3 * q, q, p, m, p, p, outputs]))
-    return [text, *thunks, continued_text(eq)]
-
-
-def equations_text(eq: Equations) -> str:
-    """Return `set_equations`, which fills the structure that the translated functions know the plant by."""
-    functions = ["derivatives", "output", "linearisation", "input_slopes", "sensitivity"]
-    lines = [
-        "memset(equations, 0, sizeof *equations);",
-        f"equations->name = {quoted(eq.name)};",
-        *_names("states", eq.states),
-        *_names("inputs", eq.inputs),
-        *_names("outputs", eq.outputs),
-        *_names("disturbances", eq.disturbances),
-        *_vector("disturbance_nominal", eq.disturbance_nominal),
-        *_vector("f_states", eq.f_states),
-        f"equations->lipschitz = {number(eq.lipschitz)};",
-        f"equations->matched = {'true' if eq.matched else 'false'};",
-        f"equations->experiment.step_size = {number(eq.experiment.step_size)};",
-        f"equations->experiment.stop_time = {number(eq.experiment.stop_time)};",
-        *_ranges(eq),
-        *(f"equations->{name}.call = {'continued' if eq.ranges else 'call'}_{name};" for name in functions),
-        "equations->nonlinearity.call = call_nonlinearity;",
-        "equations->steps.observer_constants.call = call_observer_constants;",
-        "equations->steps.observer_step.call = call_observer_step;",
-    ]
-    if eq.matrices:
-        lines += ["equations->matrices.some = true;", "equations->matrices.value.call = call_matrices;"]
-    body = "\n".join(f"    {line}" for line in lines)
-    return f"static void set_equations(Equations *equations) {{\n{body}\n}}\n"
-
-
-def _names(field: str, names: Sequence[str]) -> list[str]:
-    if not names:
-        return []
-    listed = ", ".join(map(quoted, names))
-    return [
-        f"static const char *const {field}[] = {{{listed}}};",
-        f"equations->{field}.n = {len(names)}, equations->{field}.p = {field};",
-    ]
-
-
-def _vector(field: str, values: Sequence[float]) -> list[str]:
-    listed = ", ".join(number(float(value)) for value in values) or "0.0"
-    return [
-        f"static const double {field}[] = {{{listed}}};",
-        f"equations->{field} = nd_view_of({len(values)}, {field});",
-    ]
-
-
-def _ranges(eq: Equations) -> list[str]:
-    if not eq.ranges:
-        return []
-    names = ", ".join(map(quoted, eq.ranges))
-    pairs = ", ".join(f"{{{number(low)}, {number(high)}}}" for low, high in eq.ranges.values())
-    return [
-        f"static const char *const ranged[] = {{{names}}};",
-        f"static p2_double_double ranges[] = {{{pairs}}};",
-        f"equations->ranges.n = {len(eq.ranges)}, equations->ranges.names = ranged, equations->ranges.p = ranges;",
-    ]
+    step = converged_step_thunk(fields, [n + 3 * q, n + 3 * q, q, p, m, p, p, outputs])
+    functions = {
+        **{name: f"call_{name}" for name in names if name != "observer_constants"},
+        **{name: f"{'continued' if eq.ranges else 'call'}_{name}" for name in CONTINUED},
+        **{f"steps.{name}": f"call_{name}" for name in ("observer_constants", "observer_step")},
+    }
+    return [*texts, step, continued_text(eq), equations_text(eq, functions)]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.codegen.emit_c import emit_c
-from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.model.model import Model
+from ndob_fmu.native.equations import function_texts
 from ndob_fmu.native.runtime_code import component, part
 from ndob_fmu.native.sources import ComponentCode
-from ndob_fmu.native.thunks import thunk, trial_thunk
+from ndob_fmu.native.thunks import trial_thunk
 from ndob_fmu.native.variable_table import number
 
-_PRINTED = ("derivatives", "output", "linearisation", "plant_constants", "plant_trial")
+_PRINTED = ("derivatives", "output", "linearisation", "plant_constants")
 _TRANSLATED = {
     "blocks.plant": ("Plant.step", "Plant.possible", "Plant.disturbance"),
     "numerics.integrate": ("largest", "next_substep"),
@@ -37,13 +36,6 @@ def plant_code(model: Model) -> ComponentCode:
         "HIDDEN_STATES": len(hidden),
         "MEMORY": _memory(n, q, constants),
     }
-    thunks = [
-        thunk("derivatives", 4, n),
-        thunk("output", 3, len(eq.outputs)),
-        thunk("linearisation", 4, (n + len(eq.outputs)) * (n + q)),
-        thunk("plant_constants", 1, constants),
-        trial_thunk(n),
-    ]
     own = "\n".join(
         [
             *(f"#define {name} {value}" for name, value in sizes.items()),
@@ -55,10 +47,8 @@ def plant_code(model: Model) -> ComponentCode:
         part("faults.c"),
         part("call.c"),
         part("memory.c"),
-        part("equations.c"),
-        RUNTIME,
-        emit_c(model, _PRINTED),
-        *thunks,
+        *function_texts(model, eq, _PRINTED, ["plant_trial"]),
+        trial_thunk(n),
         own,
         part("plant.c"),
     ]

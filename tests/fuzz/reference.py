@@ -86,9 +86,9 @@ def wild(library: Library, memory: Memory) -> bool:
 
 
 def holds_inputs(library: Library, memory: Memory) -> bool:
-    """A plant warns of inputs that are not finite; an observer says it by an output."""
+    """A plant and a controller warn of inputs that are not finite; an observer says it by an output."""
     inputs = library.references("Real", "input")
-    return library.name.endswith("Plant") and not all(isfinite(memory.values[vr]) for vr in inputs)
+    return library.name.endswith(("Plant", "Controller")) and not all(isfinite(memory.values[vr]) for vr in inputs)
 
 
 def refreshed(library: Library, memory: Memory) -> set[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,6 +145,10 @@ def is_one_of(x: int) -> bool:
 
 def is_none_of(x: int) -> bool:
     return x not in (1, 4)
+
+
+def place_of(name: str, names: Sequence[str]) -> int:
+    return names.index(name) if name in names else -1
 
 
 def _refuses(x: float) -> float:

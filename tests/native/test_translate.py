@@ -47,6 +47,7 @@ CASES = [
     ("solution", _LOW_RANK, _RANDOM.standard_normal((5, 2))),
     ("basis", _TALL),
     ("calls_a_value", 3.0),
+    *(("place_of", name, ("angle", "rate")) for name in ("angle", "rate", "torque")),
     *((name, x) for name in ("is_one_of", "is_none_of") for x in (1, 2, 4)),
 ]
 

@@ -9,9 +9,11 @@ from ndob_fmu.native.translate.kinds import (
     ARRAY,
     INT,
     NOTHING,
+    TEXT,
     ComplexArray,
     Function,
     Kind,
+    Listing,
     Maybe,
     Pack,
     Structure,
@@ -254,6 +256,8 @@ class Calls(PythonCalls):
             found = self._array_method(node, value, name, named)
             if found is not None:
                 return found
+        if value.kind == Listing(TEXT) and name == "index":
+            return Value(self.found(self.held_structure(value), self.expression(node.args[0])), INT)
         if isinstance(value.kind, ComplexArray) and name == "astype":
             return value
         if value.kind == INT and name in ("bit_count", "bit_length"):

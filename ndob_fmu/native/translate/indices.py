@@ -182,5 +182,6 @@ class Indices(Conversions):
         return rows, columns
 
     def found(self, table: Value, name: Value) -> str:
-        """Return the place of a name in a mapping, −1 where it is not there."""
-        return f"nd_find({table.text}.n, {table.text}.names, {name.text})"
+        """Return the place of a name in a mapping or among names, −1 where it is not there."""
+        names = "names" if isinstance(table.kind, Table) else "p"
+        return f"nd_find({table.text}.n, {table.text}.{names}, {name.text})"

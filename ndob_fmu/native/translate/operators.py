@@ -11,6 +11,7 @@ from ndob_fmu.native.translate.kinds import (
     BOOL,
     FLOAT,
     INT,
+    TEXT,
     Array,
     ComplexArray,
     Kind,
@@ -192,8 +193,11 @@ class Operators(Indices):
             if isinstance(table.kind, Table):
                 place = self.found(self.held_structure(table), left)
                 return Value(f"({place} {'>=' if isinstance(operator, ast.In) else '<'} 0)", BOOL)
+            if table.kind == Listing(TEXT):
+                place = self.found(self.held_structure(table), left)
+                return Value(f"({place} {'>=' if isinstance(operator, ast.In) else '<'} 0)", BOOL)
             if not isinstance(other, (ast.Tuple, ast.List)) or not is_number(left.kind):
-                raise self.no(node, "`in` a mapping, or of a number in a tuple that is written out")
+                raise self.no(node, "`in` a mapping or names, or of a number in a tuple that is written out")
             held = self.held(left)
             equal = [self.compared(ast.Eq(), held, self.expression(one), node).text for one in other.elts]
             return Value(f"{'!' if isinstance(operator, ast.NotIn) else ''}({' || '.join(equal)})", BOOL)

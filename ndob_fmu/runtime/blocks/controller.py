@@ -66,13 +66,13 @@ class Controller:
         """S (m,n)."""
         eq = self.equations
         unit = np.eye(len(eq.states))
-
-        def row(name: str) -> Array:
+        rows: list[Array] = []
+        for name in self.regulated:
             if name in eq.states:
-                return np.asarray(unit[eq.states.index(name)])
-            return np.asarray(eq.linear_part(self.parameters).C[eq.outputs.index(name)], dtype=float)
-
-        return np.array([row(name) for name in self.regulated])
+                rows.append(unit[eq.states.index(name)])
+            else:
+                rows.append(eq.linear_part(self.parameters).C[eq.outputs.index(name)])
+        return np.array(rows)
 
     def start(self) -> Target:
         """Return the equilibrium for references of 0 and nominal disturbances; if there is none, one near x0.
@@ -81,11 +81,11 @@ class Controller:
         effect there. Raises DesignError if there is no equilibrium, or none that the inputs determine.
         """
         eq = self.equations
-        d, x0 = list(eq.disturbance_nominal), np.array(eq.x0)
-        guess = Target(x=np.zeros(len(eq.states)), u=np.zeros(len(eq.inputs)))
-        target = self._equilibrium(guess, [0.0] * len(self.selection), d)
+        n, m, d, x0 = len(eq.states), len(eq.inputs), eq.disturbance_nominal, np.array(eq.x0)
+        target = self._equilibrium(Target(x=np.zeros(n), u=np.zeros(m)), np.zeros(m), d)
         for u in _FIRST_INPUTS:
-            target = target or self._equilibrium(Target(x=x0, u=np.full(len(eq.inputs), u)), self.selection @ x0, d)
+            if target is None:
+                target = self._equilibrium(Target(x=x0, u=np.full(m, u)), self.selection @ x0, d)
         if target is None:
             raise DesignError.report(
                 f"the rest position of {eq.name}",
@@ -100,10 +100,11 @@ class Controller:
 
         If Newton's method does not converge, the equilibrium of the step before is kept.
         """
-        d = list(d_hat if self.compensation else self.equations.disturbance_nominal)
-        target = self._equilibrium(target, reference, d) or target
-        u = target.u - self.gain @ (np.asarray(x_hat) - target.x)
-        return target, np.where(self.limit > 0.0, np.clip(u, -self.limit, self.limit), u)
+        d = d_hat if self.compensation else self.equations.disturbance_nominal
+        found = self._equilibrium(target, np.array(reference), d)
+        now = target if found is None else found
+        u = now.u - self.gain @ (np.asarray(x_hat) - now.x)
+        return now, np.where(self.limit > 0.0, np.maximum(np.minimum(u, self.limit), -self.limit), u)
 
     def possible(self, target: Target) -> bool:
         """Return whether numbers in the form of a target can be one."""
@@ -128,16 +129,16 @@ class Controller:
                 likely="a root of 0, as of an orifice without flow: start from an x0 with flow",
             ) from error
 
-    def _equilibrium(self, guess: Target, reference: Vector, d: Sequence[float]) -> Target | None:
-        n, m = len(guess.x), len(guess.u)
+    def _equilibrium(self, guess: Target, reference: Array, d: Vector) -> Target | None:
+        n, m, S = len(guess.x), len(guess.u), self.selection
         z = np.concatenate([guess.x, guess.u])
-        lower = np.hstack([self.selection, np.zeros((m, m))])
+        lower = np.hstack([S, np.zeros((m, m))])
         for _ in range(_ITERATIONS):
-            residual = np.concatenate([self._rates(z, d), self.selection @ z[:n] - reference])
             try:
-                J = np.vstack([np.hstack(self._jacobians(z[:n], z[n:], d)), lower])
-                change = np.linalg.solve(J, residual)
-            except (ArithmeticError, ValueError):  # f has no slope there, or J is singular
+                residual = np.concatenate([self._rates(z, d), S @ z[:n] - reference])
+                of_x, of_u = self._jacobians(z[:n], z[n:], d)
+                change = np.linalg.solve(np.vstack([np.hstack([of_x, of_u]), lower]), residual)
+            except (ArithmeticError, ValueError):  # f has no value or slope there, or J is singular
                 return None
             z = z - change
             if not np.isfinite(z).all():
@@ -146,12 +147,13 @@ class Controller:
                 return Target(x=z[:n], u=z[n:])
         return None
 
-    def _rates(self, z: Array, d: Sequence[float]) -> Array:
+    def _rates(self, z: Array, d: Vector) -> Array:
         n, values = len(self.equations.states), z.tolist()
         return np.array(self.equations.derivatives(values[:n], values[n:], d, self.parameters), dtype=float)
 
     def _jacobians(self, x: Array, u: Array, d: Vector) -> tuple[Array, Array]:
-        eq, at = self.equations, (x.tolist(), u.tolist(), d, self.parameters)
+        eq, p = self.equations, self.parameters
         n, m, q = len(x), len(u), len(d)
-        of_x = np.array(eq.linearisation(*at), dtype=float).reshape(-1, n + q)[:n, :n]
-        return of_x, np.array(eq.input_slopes(*at), dtype=float).reshape(-1, m)[:n]
+        of_x = np.array(eq.linearisation(x.tolist(), u.tolist(), d, p), dtype=float).reshape(-1, n + q)
+        of_u = np.array(eq.input_slopes(x.tolist(), u.tolist(), d, p), dtype=float).reshape(-1, m)
+        return of_x[:n, :n], of_u[:n]
