@@ -21,12 +21,14 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.native import paper
 from ndob_fmu.native.continued import CONTINUED, continued_text
 from ndob_fmu.native.equations import USED_BY_PRINTED, equations_text, function_texts
+from ndob_fmu.native.frozen import frozen_step_text
 from ndob_fmu.native.join import joined
 from ndob_fmu.native.runtime_code import part, places, runtime_texts
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk
 from ndob_fmu.native.variable_table import number, quoted
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations
+from ndob_fmu.runtime.generated_steps import ObserverStep
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
 
@@ -181,11 +183,12 @@ def _printed(model: Model, eq: Equations) -> list[str]:
     texts = function_texts(model, eq, names, ["observer_step"])
     head = next(line for text in texts for line in text.splitlines() if line.startswith("static int observer_step("))
     outputs = n + 5 * q + 2 * p + 2
-    fields = re.findall(r"_gain_(\w+)", head)
-    step = converged_step_thunk(fields, [n + 3 * q, n + 3 * q, q, p, m, p, p, outputs])
+    gain = re.findall(r"_gain_(\w+)", head)
+    of_step = dict(zip(ObserverStep._fields, (n + 3 * q, n + 3 * q, q, p, m, p, p, outputs), strict=True))
     functions = {
         **{name: f"call_{name}" for name in names if name != "observer_constants"},
         **{name: f"{'continued' if eq.ranges else 'call'}_{name}" for name in CONTINUED},
         **{f"steps.{name}": f"call_{name}" for name in ("observer_constants", "observer_step")},
     }
-    return [*texts, step, continued_text(eq), equations_text(eq, functions)]
+    steps = [converged_step_thunk(gain, of_step), frozen_step_text(gain, of_step, m, p)]
+    return [*texts, *steps, continued_text(eq), equations_text(eq, functions)]

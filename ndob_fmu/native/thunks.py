@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 
 
 def thunk(name: str, arity: int, count: int) -> str:
@@ -59,24 +60,23 @@ def matrices_thunk(shapes: Sequence[tuple[int, int]]) -> str:
     )
 
 
-def converged_step_thunk(fields: Sequence[str], counts: Sequence[int]) -> str:
+def converged_step_thunk(fields: Sequence[str], counts: Mapping[str, int]) -> str:
     """Return `call_observer_step`.
 
     fields: of the gain, as the printed function takes them
-    counts: of the numbers in each field of `ObserverStep`
+    counts: of the numbers in each field of `ObserverStep`, in their order
     """
     gain = "".join(f"flat(arena, gain->{field}), " for field in fields)
-    names = ("xi_hat", "xi_at_sample", "d_hat", "innovation", "u", "sample", "squares", "outputs")
-    places = [sum(counts[:i]) for i in range(len(counts))]
+    places = accumulate(counts.values(), initial=0)
     parts = "".join(
         f"    found.value.{name} = nd_view({count}, result.p + {place});\n"
-        for name, count, place in zip(names, counts, places, strict=True)
+        for (name, count), place in zip(counts.items(), places, strict=False)
     )
     return (
         "static m_ObserverStep call_observer_step(nd_arena *arena, const void *env, nd xi_hat, nd inputs, nd squares,\n"
         "                                         nd k, const ConvergedGain *gain, double H) {\n"
         "    m_ObserverStep found;\n"
-        f"    nd result = numbers(arena, {sum(counts)});\n"
+        f"    nd result = numbers(arena, {sum(counts.values())});\n"
         "    int fault = observer_step(flat(arena, xi_hat), flat(arena, inputs), flat(arena, squares),\n"
         f"                              flat(arena, k), {gain}H, result.p);\n"
         "    (void)env;\n"

@@ -12,6 +12,8 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.native.observer import sampled_observer_text
+from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
+from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
@@ -48,11 +50,28 @@ int begin(void *block, size_t bytes, const double *given, const int *sizes, int 
     return sampled_start(&observer, nd_view_of(observer.equations.states.n, given));
 }
 int first_state(double *state) {
-    return (int)sampled_first_state(&observer, state, 100000);
+    sampled_first_state(&observer, state);
+    return (int)observer.count;
 }
 int advance_by(double *state, const double *u, const double *y, double step, double *outputs) {
     return sampled_step(&observer, state, nd_view_of(observer.equations.inputs.n, u),
                         nd_view_of(observer.equations.outputs.n, y), step, outputs);
+}
+int advance_translated(double *state, const double *u, const double *y, double step, double *outputs) {
+    if (setjmp(observer.full)) return SAMPLED_NO_MEMORY;
+    observer.scratch.used = 0;
+    step_in_memory(&observer, state, nd_view_of(observer.equations.inputs.n, u),
+                   nd_view_of(observer.equations.outputs.n, y), step, outputs);
+    return observer.scratch.error;
+}
+int advance_in_place(double *state, const double *u, const double *y, double step, double *outputs) {
+    return step_as_kept(&observer, state, nd_view_of(observer.equations.inputs.n, u),
+                        nd_view_of(observer.equations.outputs.n, y), step, outputs);
+}
+int has_frozen(const double *state) {
+    if (setjmp(observer.full)) return -1;
+    observer.scratch.used = 0;
+    return given_state(&observer, state).memory.converged;
 }
 int possible(const double *state) { return sampled_possible(&observer, state); }
 const char *message(void) { return observer.scratch.message; }
@@ -148,6 +167,52 @@ def test_the_estimates_are_those_of_python_over_many_steps(case, library_of):
     assert native.library.possible(native.state) == 1
     native.state[0] = np.nan
     assert native.library.possible(native.state) == 0
+
+
+@pytest.mark.parametrize("std", [0.0, 1e-6, 1e-4])
+def test_the_gain_is_frozen_in_the_same_steps_as_in_python(std, library_of):
+    eq, p = compile_model(JOINT), JOINT.parameter_values()
+    settings = observer_settings(eq, noise_std=[std] * 2)
+    observer = sampled_observer(eq, p, settings, eq.xhat0)
+    native = Native(library_of("FlexibleJoint"), JOINT, settings, eq.xhat0)
+    plant = Plant(eq, p, [Generator(KINDS["constant"], 2.0, 0.0)])
+    random, state, truth, frozen = np.random.default_rng(3), observer.init(eq.xhat0), plant.init(eq.x0, 0.0), 0
+    for k in range(300):
+        y = np.array(eq.output(truth.x, [0.0], p)) + std * random.standard_normal(2)
+        state, _ = observer.step(state, [0.0], y.tolist(), H)
+        native.step([0.0], y, H)
+        assert native.library.has_frozen(native.state) == state.memory.converged, k
+        frozen += state.memory.converged
+        truth = plant.step(truth, [0.0], [0.0], (k + 1) * H, H)
+    assert frozen > 50
+
+
+def test_a_step_with_a_frozen_gain_has_the_bits_of_the_translated_one(library_of):
+    """Step by step from the same state, with outliers, gaps, a lost input, another step size, and larger noise."""
+    eq = compile_model(JOINT)
+    library = library_of(JOINT.name)
+    native = Native(library, JOINT, observer_settings(eq, noise_std=[1e-5] * 2, adapt_noise=True), eq.xhat0)
+    random = np.random.default_rng(6)
+    twin = (ctypes.c_double * len(native.state))()
+    ours, theirs = (ctypes.c_double * 17)(), (ctypes.c_double * 17)()
+    in_place, p = [], JOINT.parameter_values()
+    x = list(eq.x0)
+    for k in range(1500):
+        u = [np.nan if k == 700 else 0.1]
+        y = np.array(eq.output(x, u, p)) + (3e-5 if k > 1200 else 1e-5) * random.standard_normal(2)
+        y[k % 2] = {600: np.nan, 800: 1e3, 801: np.inf}.get(k, y[k % 2])
+        step = 2.0 * H if k in (900, 901) else H
+        given = [(ctypes.c_double * len(one))(*one) for one in (u, y)]
+        ctypes.memmove(twin, native.state, ctypes.sizeof(twin))
+        before = bytes(twin)
+        taken = library.advance_in_place(twin, *given, ctypes.c_double(step), ours)
+        assert library.advance_translated(native.state, *given, ctypes.c_double(step), theirs) == 0
+        assert bytes(twin) == (bytes(native.state) if taken else before)
+        assert not taken or bytes(ours) == bytes(theirs)
+        in_place.append(bool(taken))
+        x = (np.array(x) + step * np.array(eq.derivatives(x, [0.1], [1.0], p))).tolist()
+    assert sum(in_place) > 300
+    assert not any(in_place[k] for k in (600, 700, 800, 801, 900, 901))
 
 
 def test_a_step_that_cannot_be_taken_says_why_and_leaves_the_state(library_of):

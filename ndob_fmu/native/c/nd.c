@@ -378,6 +378,7 @@ void nd_append(nd_arena *a, nd *x, double value) {
 
 double *nd_write(double *to, nd x) {
     if (x.rank < 0) return to;
+    if (is_compact(x)) return (double *)memcpy(to, x.p, sizeof(double) * (size_t)nd_size(x)) + nd_size(x);
     nd compact = x;
     compact.p = to;
     for (int i = x.rank - 1, s = 1; i >= 0; s *= x.n[i--]) compact.s[i] = s;
@@ -387,7 +388,7 @@ double *nd_write(double *to, nd x) {
 
 const double *nd_read(const double *from, nd x) {
     if (x.rank < 0) return from;
-    for (int i = 0, size = nd_size(x); i < size; i++) x.p[i] = from[i];
+    memcpy(x.p, from, sizeof(double) * (size_t)nd_size(x));
     return from + nd_size(x);
 }
 
@@ -623,9 +624,14 @@ static double more_of(int op, double so_far, double x) {
 }
 
 double nd_reduced(int op, nd x) {
-    shape4 o = shape_of(x);
+    shape4 o;
     int s[ND_RANK];
     double r = start_of(op);
+    if (x.rank == 1) {
+        for (int i = 0; i < x.n[0]; i++) r = more_of(op, r, x.p[i * x.s[0]]);
+        return op == ND_NORM ? sqrt(r) : r;
+    }
+    o = shape_of(x);
     strides_over(x, &o, s);
     ND_LOOP3(o) {
         const double *row = ND_ROW(x, s);

@@ -231,9 +231,9 @@ static bool start(const Call *call, double time) {
     int error = check_in_memory(call, core, x_hat);
     if (!error) error = sampled_start(&core->observer, x_hat);
     if (error) return fail_in(call, core, error, ERROR, "start");
-    size_t count = sampled_first_state(&core->observer, state->numbers, NUMBERS);
-    if (count > NUMBERS) return fail_in(call, core, SAMPLED_NO_MEMORY, ERROR, "start");
-    set_count(state, count);
+    if (core->observer.count > NUMBERS) return fail_in(call, core, SAMPLED_NO_MEMORY, ERROR, "start");
+    sampled_first_state(&core->observer, state->numbers);
+    set_count(state, core->observer.count);
     return true;
 }
 
@@ -268,6 +268,6 @@ static bool possible(const Call *call, double begin, double now) {
     if (core->is_paper)
         return state->count == (double)paper_state_size(&core->paper)
                && paper_possible(&core->paper, state->numbers, now - begin);
-    return state->count == (double)sampled_state_size(&core->observer)
+    return state->count == (double)core->observer.count
            && sampled_possible(&core->observer, state->numbers);
 }

@@ -16,10 +16,11 @@ typedef struct {
     nd parameters;
     ObserverSettings settings;
     PreparedObserver prepared;
-    SampledObserverState shape; /* a state, for the lengths of its arrays */
+    SampledObserverState shape; /* the first state, also for the lengths of its arrays */
     Tuned tuned;
     StepDesign design;
     m_ConvergedStep converged;
+    size_t count; /* of the numbers of a state */
     nd_arena lasting, scratch;
     Kept of_tuned, of_design, of_converged;
     jmp_buf full;
@@ -104,13 +105,18 @@ static SampledObserverState given_state(Sampled *self, const double *state) {
     return given;
 }
 
+/* What is left of the memory: it has room for a state, because every step takes copies of it there. */
+static double *room_of(const Sampled *self) { return (double *)(void *)(self->scratch.base + self->scratch.used); }
+
 static void start_in_memory(Sampled *self, nd x_hat) {
     PreparedObserver found =
         preparation_prepared(&self->scratch, &self->equations, self->parameters, &self->settings, x_hat);
     if (self->scratch.error) return;
     self->prepared = copied_PreparedObserver(&self->lasting, found);
     SampledObserverState first = sampled_step_start_state(&self->scratch, &self->prepared, x_hat);
-    if (!self->scratch.error) self->shape = copied_SampledObserverState(&self->lasting, first);
+    if (self->scratch.error) return;
+    self->shape = copied_SampledObserverState(&self->lasting, first);
+    self->count = (size_t)(write_SampledObserverState(room_of(self), &self->shape) - room_of(self));
 }
 
 static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *given, nd u, nd y, double H, double *state,
@@ -126,6 +132,14 @@ static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *giv
     (void)write_SampledObserverState(state, &done.value.v0);
     (void)nd_write(outputs, done.value.v1);
     return true;
+}
+
+/* The way of most steps; what it leaves out, the others do. */
+static bool step_as_kept(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
+    const Kept *kept = &self->of_converged;
+    if (!kept->some || !self->converged.some || self->converged.value.M_H.some || kept->H != H) return false;
+    if (!is_frozen_for(state + self->count, H, kept->tuned_at, kept->noise)) return false;
+    return frozen_step(&self->scratch, &self->converged.value, u.p, y.p, H, state, outputs);
 }
 
 static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
@@ -153,23 +167,13 @@ int sampled_start(Sampled *self, nd x_hat) {
     return ended(self);
 }
 
-/* How many numbers a state has. */
-size_t sampled_state_size(Sampled *self) {
-    double *room = (double *)(void *)(self->scratch.base + self->scratch.used);
-    return (size_t)(write_SampledObserverState(room, &self->shape) - room);
-}
+/* Write the `count` numbers of the first state. */
+void sampled_first_state(const Sampled *self, double *state) { (void)write_SampledObserverState(state, &self->shape); }
 
-/* Write the first state; returns how many numbers a state has, and writes none where that is more than `most`. */
-size_t sampled_first_state(Sampled *self, double *state, size_t most) {
-    /* What is left of the memory has room for a state, because every step takes copies of it there. */
-    double *room = (double *)(void *)(self->scratch.base + self->scratch.used);
-    size_t count = (size_t)(write_SampledObserverState(room, &self->shape) - room);
-    if (count <= most) memcpy(state, room, count * sizeof(double));
-    return count;
-}
-
-/* Advance a state by H from a sample y, with the input u held. `outputs`: the fields of Estimate but for x_at_sample. */
+/* Advance a state by H from a sample y, with the input u held; both lie in one piece. `outputs`: the fields of Estimate
+ * but for x_at_sample. */
 int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
+    if (step_as_kept(self, state, u, y, H, outputs)) return ND_NONE;
     if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;

@@ -12,34 +12,42 @@ static void append_count(char *line, size_t size, double count) {
     append(line, size, number);
 }
 
+static bool is_accessed_as(uint32_t reference, char type) {
+    return reference < fmu.count && accessed_as(fmu.variables[reference].type) == type;
+}
+
+static void say_unreadable(Instance *self, const char *function, uint32_t reference, char type) {
+    char expected[160] = "", received[400] = "";
+    append_count(received, sizeof received, (double)reference);
+    if (reference >= fmu.count) {
+        append(expected, sizeof expected, "value references from 0 to ");
+        append_count(expected, sizeof expected, (double)fmu.count - 1.0);
+    } else {
+        append(expected, sizeof expected, "value references of ");
+        append(expected, sizeof expected, type_name(type));
+        append(expected, sizeof expected, " variables");
+        append(received, sizeof received, ", which is ");
+        append(received, sizeof received, fmu.variables[reference].name);
+        append(received, sizeof received, ", ");
+        append(received, sizeof received, type_name(accessed_as(fmu.variables[reference].type)));
+    }
+    say_error(self, function, expected, received);
+}
+
 bool readable(Instance *self, const char *function, const uint32_t references[], size_t count, const void *values,
               char type) {
-    char expected[160] = "", received[400] = "";
     if (!references || !values) {
+        char expected[160] = "";
         append_count(expected, sizeof expected, (double)count);
         append(expected, sizeof expected, references ? " values" : " value references");
         say_error(self, function, expected, "NULL");
         return false;
     }
-    for (size_t i = 0; i < count; i++) {
-        uint32_t reference = references[i];
-        if (reference < fmu.count && accessed_as(fmu.variables[reference].type) == type) continue;
-        append_count(received, sizeof received, (double)reference);
-        if (reference >= fmu.count) {
-            append(expected, sizeof expected, "value references from 0 to ");
-            append_count(expected, sizeof expected, (double)fmu.count - 1.0);
-        } else {
-            append(expected, sizeof expected, "value references of ");
-            append(expected, sizeof expected, type_name(type));
-            append(expected, sizeof expected, " variables");
-            append(received, sizeof received, ", which is ");
-            append(received, sizeof received, fmu.variables[reference].name);
-            append(received, sizeof received, ", ");
-            append(received, sizeof received, type_name(accessed_as(fmu.variables[reference].type)));
+    for (size_t i = 0; i < count; i++)
+        if (!is_accessed_as(references[i], type)) {
+            say_unreadable(self, function, references[i], type);
+            return false;
         }
-        say_error(self, function, expected, received);
-        return false;
-    }
     return true;
 }
 
