@@ -50,8 +50,8 @@ class ScheduledGains:
             linear, L = self.linear, self.table.gain(log_pi)
             gain = linear.selector @ self.output_to_w(log_pi)
             constant = gain @ linear.C @ np.linalg.solve(L @ linear.C - linear.A, linear.G_d)
-            bound = np.array(self.disturbance_bound or [0.0] * len(constant))
+            bias = np.abs(constant - np.eye(len(constant))) @ np.array(self.disturbance_bound or [0.0] * len(constant))
             noise = np.linalg.norm(gain * np.array(self.noise_std or [0.0] * len(linear.C)), axis=1)
-            return np.asarray(np.hypot(noise, np.abs(constant - np.eye(len(constant))) @ bound))
+            return np.asarray(np.sqrt(noise * noise + bias * bias))
 
         return self._d_std((log_pi,), compute)

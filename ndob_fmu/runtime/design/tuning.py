@@ -208,8 +208,8 @@ def steady_std(design: StationaryDesign, rate: Array) -> Array:
 
     The bias counts as a number that may lie anywhere within its bounds: its variance is a third of their square.
     """
-    bias = design.bias_gain(ahead=True) @ rate
-    return np.asarray(np.hypot(design.noise_std(ahead=True), bias / np.sqrt(3.0)))
+    bias, noise = design.bias_gain(ahead=True) @ rate, design.noise_std(ahead=True)
+    return np.asarray(np.sqrt(noise * noise + bias * bias / 3.0))
 
 
 def steady_residual_std(design: StationaryDesign, source_bound: Array) -> Array:
@@ -217,8 +217,8 @@ def steady_residual_std(design: StationaryDesign, source_bound: Array) -> Array:
 
     What the disturbance leaves in the residuals counts like the bias of `steady_std`.
     """
-    bias = design.steady_innovation @ source_bound
-    return np.asarray(np.hypot(design.innovation_noise_std(), bias / np.sqrt(3.0)))
+    bias, noise = design.steady_innovation @ source_bound, design.innovation_noise_std()
+    return np.asarray(np.sqrt(noise * noise + bias * bias / 3.0))
 
 
 def squared_errors(design: StationaryDesign, known: Knowledge) -> tuple[float, float]:
