@@ -147,3 +147,19 @@ def test_random_calls_have_the_statuses_of_fmi(native):
     walk.wander(6000)
     walk.close()
     assert walk.made >= 6000
+
+
+@pytest.mark.parametrize("size", [H, 1e10, 1e300])
+def test_noise_has_the_bits_of_the_python_fmu_at_any_time(native, components, size):
+    rows = []
+    for fmu in (native("Sensor"), components["Sensor"]):
+        library = Library(Path(fmpy.extract(str(fmu))))
+        handle = library.new()
+        references = {variable.name: variable.reference for variable in library.variables}
+        assert library.set(handle, [references["noise_std"], references["sample_time"]], [0.1, H]) == 0
+        library.begin(handle)
+        statuses = [library.step(handle, k * size, size) for k in range(3)]
+        rows.append((statuses, library.get(handle, library.references("Real", "output"))))
+        library.FreeInstance(handle)
+    assert rows[0] == rows[1]
+    assert np.isfinite(rows[0][1][1]).all()

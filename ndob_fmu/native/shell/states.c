@@ -55,8 +55,9 @@ static void save(const Instance *self, Saved *saved) {
     saved->owner = self;
     saved->progress = self->progress;
     memcpy(to.values, self->values, values_size());
-    memcpy(to.started_with, self->started_with, parameters_size());
     memcpy(to.texts, self->texts, texts_size());
+    if (!self->progress.made) return; /* what was made before a reset means nothing now */
+    memcpy(to.started_with, self->started_with, parameters_size());
     memcpy(to.started_with_texts, self->started_with_texts, texts_size());
     memcpy(to.state, self->state, fmu.state_size);
 }
