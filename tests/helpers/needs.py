@@ -40,6 +40,12 @@ FRONT = _missing(
     "the front of FMUs: expected Linux and a C compiler, cc or the one that CC names (Debian: gcc, libc6-dev)",
     sys.platform == "linux" and found_c_compiler(),
 )
+# gcc compiles for ARM, and qemu runs the programs.
+ARM_IN_QEMU = _missing(
+    "expected qemu-aarch64, aarch64-linux-gnu-gcc and its C library (Debian: qemu-user, gcc-aarch64-linux-gnu, "
+    "libc6-dev-arm64-cross)",
+    bool(shutil.which("qemu-aarch64") and shutil.which("aarch64-linux-gnu-gcc")),
+)
 ECOS = _missing(
     "expected libtbb.so.12 and unzip, which ecos uses (Debian: libtbb12, unzip)", _tbb() and bool(shutil.which("unzip"))
 )

@@ -6,8 +6,15 @@
  *   at PLACE                 go on with the instance at that place (they count from 0)
  *   setup START STOP         enter  exit  terminate  reset  free
  *   setR|setI|setB REFS VALUES   getR|getI|getB REFS     lists with commas: 0,1 2.5,3
+ *   setS REF TEXT            a text without spaces
  *   step TIME SIZE           last                        time of the last step
  *   run STEPS SIZE SETREFS GETREFS   steps from the time of the last run; prints the last outputs
+ *   play TABLE STEPS SIZE SETREFS GETREFS BOOLREFS RESULT HOW
+ *                            sets a row of the file TABLE before each step, and writes a row of outputs after each to the file RESULT;
+ *                            both are tables of doubles. HOW: "here"; "moved", each step on a thread of its own; "crowd", all
+ *                            instances at once, each on a thread; "odd", while the host rounds downward and flushes small numbers
+ *                            to zero. Prints how many blocks of memory were asked for during the steps, if count_memory.c counts
+ *   memory                   how many blocks of memory were asked for since this was asked last
  *   cost STEPS SETREFS GETREFS BOOLREFS   microseconds that getting and setting take, the least of ten tries
  *   threads STEPS            steps the instances at places 0 and 1 on two threads; prints their first outputs
  *   log ON CATEGORIES        save  restore  drop  bytes FILE  unbytes FILE      FMU state
@@ -33,6 +40,38 @@
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
+
+/* A floating-point environment that no FMU expects: rounding downward, and numbers near zero become zero. Both return what
+ * the processor's control registers say. environment_back() then brings back the usual one. */
+static unsigned long control_word(void) {
+#if defined(__x86_64__)
+    unsigned short x87;
+    __asm__ volatile("fnstcw %0" : "=m"(x87));
+    return (unsigned long)(__builtin_ia32_stmxcsr() & ~0x3fu) << 16 | x87;
+#elif defined(__aarch64__)
+    unsigned long word;
+    __asm__ volatile("mrs %0, fpcr" : "=r"(word));
+    return word;
+#else
+    return (unsigned long)fegetround();
+#endif
+}
+
+static unsigned long odd_environment(void) {
+    fesetround(FE_DOWNWARD);
+#if defined(__x86_64__)
+    __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() | 0x8040u);
+#elif defined(__aarch64__)
+    __asm__ volatile("msr fpcr, %0" : : "r"(control_word() | 1ul << 24));
+#endif
+    return control_word();
+}
+
+static unsigned long environment_back(void) {
+    unsigned long word = control_word();
+    fesetenv(FE_DFL_ENV);
+    return word;
+}
 
 static const char *const STATUS[] = {"OK", "Warning", "Discard", "Error", "Fatal", "Pending"};
 static void *library;
@@ -75,6 +114,68 @@ static void *steps(void *instance) {
     for (int k = 0; k < steps_of_threads; k++)
         if (CALL(DoStep)(instance, k * 1e-3, 1e-3, fmi2True) != fmi2OK) puts("thread: step failed");
     return NULL;
+}
+
+/* -- a table of inputs, and one of outputs */
+
+typedef struct {
+    fmi2Component instance;
+    long rows;
+    size_t inputs, reals, flags;
+    const fmi2ValueReference *set, *get, *get_flags;
+    const double *table;
+    double *result;
+    double size, time;
+    long next;
+    fmi2Status status;
+} Play;
+
+static void play_row(Play *play) {
+    long k = play->next;
+    double *row = play->result + (size_t)k * (play->reals + play->flags);
+    fmi2Boolean flags[256];
+    fmi2Status all[] = {
+        play->inputs ? CALL(SetReal)(play->instance, play->set, play->inputs, play->table + (size_t)k * play->inputs) : fmi2OK,
+        CALL(DoStep)(play->instance, play->time, play->size, fmi2True),
+        CALL(GetReal)(play->instance, play->get, play->reals, row),
+        play->flags ? CALL(GetBoolean)(play->instance, play->get_flags, play->flags, flags) : fmi2OK,
+    };
+    for (size_t i = 0; i < play->flags; i++) row[play->reals + i] = flags[i];
+    for (size_t i = 0; i < 4; i++)
+        if (all[i] > play->status) play->status = all[i];
+    play->next = k + 1;
+    play->time = (double)play->next * play->size;
+}
+
+static void *play_one(void *play) { return play_row(play), NULL; }
+
+static void *play_all(void *play) {
+    for (Play *each = play; each->next < each->rows;) play_row(each);
+    return NULL;
+}
+
+static unsigned long blocks_asked_for(void) {
+    unsigned long (*counted)(void) = (unsigned long (*)(void))dlsym(RTLD_DEFAULT, "blocks_asked_for");
+    return counted ? counted() : 0;
+}
+
+static void play(Play *plays, size_t count, const char *how) {
+    pthread_t threads[256];
+    unsigned long before = blocks_asked_for();
+    if (strcmp(how, "crowd") == 0) {
+        for (size_t i = 0; i < count; i++) pthread_create(&threads[i], NULL, play_all, &plays[i]);
+        for (size_t i = 0; i < count; i++) pthread_join(threads[i], NULL);
+    } else if (strcmp(how, "moved") == 0) {
+        while (plays->next < plays->rows) pthread_create(threads, NULL, play_one, plays), pthread_join(threads[0], NULL);
+    } else if (strcmp(how, "odd") == 0) {
+        while (plays->next < plays->rows) {
+            unsigned long odd = odd_environment();
+            play_row(plays);
+            if (environment_back() != odd) plays->status = fmi2Fatal;
+            plays->time = (double)plays->next * plays->size; /* rounded as for the others */
+        }
+    } else play_all(plays);
+    printf("%lu ", blocks_asked_for() - before);
 }
 
 static const char *guid_of_all, *uri_of_all;
@@ -157,9 +258,9 @@ int main(int count, char *words[]) {
     static char bytes[1 << 20];
     setvbuf(stdout, NULL, _IONBF, 0);
     for (char line[8192]; fgets(line, sizeof line, stdin);) {
-        char *word[8] = {0}, *rest = line;
+        char *word[9] = {0}, *rest = line;
         line[strcspn(line, "\n")] = '\0';
-        for (int i = 0; i < 8 && rest; i++) word[i] = strsep(&rest, " ");
+        for (int i = 0; i < 9 && rest; i++) word[i] = strsep(&rest, " ");
         const char *verb = word[0];
         fmi2Status status = fmi2OK;
 #define IS(name) (strcmp(verb, name) == 0)
@@ -196,6 +297,7 @@ int main(int count, char *words[]) {
         else if (IS("step")) status = CALL(DoStep)(c, atof(word[1]), atof(word[2]), fmi2True);
         else if (IS("last")) status = CALL(GetRealStatus)(c, fmi2LastSuccessfulTime, values), printf("%.17g ", values[0]);
         else if (IS("setR")) reals(word[2], values), status = CALL(SetReal)(c, vr, references(word[1], vr), values);
+        else if (IS("setS")) references(word[1], vr), status = CALL(SetString)(c, vr, 1, (const fmi2String *)&word[2]);
         else if (IS("setI") || IS("setB")) {
             size_t n = reals(word[2], values);
             for (size_t i = 0; i < n; i++) integers[i] = (int)values[i];
@@ -218,6 +320,30 @@ int main(int count, char *words[]) {
             size_t n = references(word[1], vr);
             status = (IS("getI") ? CALL(GetInteger) : CALL(GetBoolean))(c, vr, n, integers);
             for (size_t i = 0; i < n && status == fmi2OK; i++) printf("%d ", integers[i]);
+        } else if (IS("play")) {
+            Play plays[256] = {{c, atol(word[2]), references(word[4], vs), references(word[5], vr), references(word[6], vb),
+                                vs, vr, vb, NULL, NULL, atof(word[3]), 0.0, 0, fmi2OK}};
+            size_t used = strcmp(word[8], "crowd") == 0 ? made : 1, rows = (size_t)plays->rows;
+            size_t cells = rows * (plays->reals + plays->flags);
+            double *table = calloc(rows * plays->inputs + 1, sizeof *table), *result = calloc(used * cells + 1, sizeof *result);
+            FILE *file = fopen(word[1], "rb");
+            if (fread(table, sizeof *table, rows * plays->inputs, file) != rows * plays->inputs) puts("play: TABLE is too short");
+            fclose(file);
+            for (size_t i = used; i-- > 0;) {
+                plays[i] = plays[0];
+                plays[i].table = table, plays[i].result = result + i * cells;
+                if (used > 1) plays[i].instance = places[i];
+            }
+            play(plays, used, word[8]);
+            for (size_t i = 0; i < used; i++)
+                if (plays[i].status > status) status = plays[i].status;
+            file = fopen(word[7], "wb");
+            fwrite(result, sizeof *result, used * cells, file);
+            fclose(file), free(table), free(result);
+        } else if (IS("memory")) {
+            static unsigned long asked;
+            printf("%lu ", blocks_asked_for() - asked);
+            asked = blocks_asked_for();
         } else if (IS("cost")) {
             size_t n = references(word[2], vs), m = references(word[3], vr), b = references(word[4], vb);
             double least = 1e9;

@@ -9,6 +9,7 @@
 
 #define RTLD_NOW 0
 #define RTLD_LOCAL 0
+#define RTLD_DEFAULT NULL
 
 static void *dlopen(const char *path, int flags) {
     wchar_t name[4096];
