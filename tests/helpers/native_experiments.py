@@ -31,6 +31,13 @@ _SAMPLED = {
     "sample_time": 0.0025,
 }
 
+# The names of the experiments.
+NAMES = [
+    *(f"FlexibleJoint{part}{ending}" for part in ("Observer", "Plant") for ending in ("", "_paper")),
+    *("observer, faults", "plant, warnings", "Encoder", "Sensor", "TorsionSpring"),
+    *(f"DisturbanceSource, {kind}" for kind in SOURCE_KINDS),
+]
+
 
 @dataclass(frozen=True)
 class Experiment:

@@ -57,22 +57,30 @@ RUNS_IN_ENVIRONMENTS = {study: tuple(PINNED) for study in ("plant", "observer, r
 
 @dataclass
 class Bench:
-    """The FMUs, the package, the C host, and a folder to work in."""
+    """The FMUs, the package, the C host, and a folder to work in.
+
+    against: the bench whose FMUs our master runs for comparison; none: its own
+    """
 
     plant: Path
     observer: Path
     package: Path
     host: Path
     folder: Path
+    against: Bench | None = None
     _prepared: dict[str, tuple[Study, Path, Rows]] = field(default_factory=dict)
 
     def difference(self, tool: str, name: str) -> float:
         """Run the study in the tool and return how far it is from our master."""
-        if name not in self._prepared:
-            self._prepared[name] = self._prepare(name)
-        study, folder, expected = self._prepared[name]
+        study, folder, own = self._study(name)
+        expected = self.against._study(name)[2] if self.against else own
         rows = self._run(tool, name, study, Path(tempfile.mkdtemp(dir=folder)))
         return difference(rows, expected, PRINTED if tool == "ecos" else 0.0)
+
+    def _study(self, name: str) -> tuple[Study, Path, Rows]:
+        if name not in self._prepared:
+            self._prepared[name] = self._prepare(name)
+        return self._prepared[name]
 
     def _prepare(self, name: str) -> tuple[Study, Path, Rows]:
         if name == "open_loop.ssp":

@@ -13,21 +13,13 @@ import pytest
 
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.native.build import build_native, build_native_components
+from tests.helpers.native_experiments import NAMES as EXPERIMENTS
 from tests.helpers.native_experiments import native_experiments
 from tests.helpers.needs import ARM_IN_QEMU
 from tests.helpers.played import ARM, Loaded, arm_in_qemu, memory_counter, this_machine
 
 pytestmark = ARM_IN_QEMU
 NAMES = ["FlexibleJointPlant", "FlexibleJointObserver", "DisturbanceSource", "Encoder", "Sensor", "TorsionSpring"]
-# The experiments, which a test asserts to be all that there are.
-EXPERIMENTS = [
-    *(f"FlexibleJoint{part}{ending}" for part in ("Observer", "Plant") for ending in ("", "_paper")),
-    *("observer, faults", "plant, warnings", "Encoder", "Sensor", "TorsionSpring"),
-    *(
-        f"DisturbanceSource, {kind}"
-        for kind in ("none", "constant", "ramp", "sine", "step", "chirp", "noise", "profile")
-    ),
-]
 
 
 @pytest.fixture(scope="module")

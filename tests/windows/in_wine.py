@@ -10,14 +10,20 @@ import re
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ndob_fmu.fmu.components import records
+from ndob_fmu.model.loading import load_model
+from ndob_fmu.native.build import build_native, build_native_components
 from tests.helpers.component_settings import moved
-from tests.windows.machine import HOST, PYTHON, ROOT, run, what_is_missing, windows_path
+from tests.helpers.native_experiments import NAMES as EXPERIMENTS
+from tests.helpers.native_experiments import native_experiments
+from tests.helpers.played import Loaded, Machine, this_machine
+from tests.windows.machine import HOST, PYTHON, ROOT, environment, run, what_is_missing, windows_path, wine
 
 FMUS = sorted((ROOT / "build" / "fmus").glob("*.fmu"))
 NAMES = [path.stem for path in FMUS]
@@ -29,8 +35,11 @@ EQUAL, EQUAL_FOR_ANOTHER_KERNEL, EQUAL_AT_HIGHEST_GAIN = 1e-11, 1e-10, 1e-8
 # `consistency` is made of residuals over their standard deviation. As it is delivered, that deviation is 1e-15 rad: the
 # last digit of the residual is 0.1 of it.
 EQUAL_CONSISTENCY_WITHOUT_NOISE = 1e-6
+# Native FMUs, with noise of the samples or without.
+NATIVE, NATIVE_AT_HIGHEST_GAIN = 1e-9, 1e-6
 SINE = {"disturbance.kind": 3, "disturbance.amplitude": 1.5, "disturbance.frequency": 0.8}
 OBSERVER = "FlexibleJointObserver"
+RECORDS = {record.name: record for record in records()}
 VARIANTS = {
     **{record.name: {"": moved(record.variables)} for record in records()},
     "FlexibleJointPlant": {"": SINE},
@@ -121,22 +130,36 @@ def test_the_folder_that_an_fmu_is_unpacked_in_changes_nothing_in_fmpy(trajector
         np.testing.assert_array_equal(found[folder][variable], column)
 
 
-def test_native_fmus_give_linuxs_trajectories_and_need_no_python(tmp_path):
-    """Plant, observer with both methods, and a component; another libm changes the last digits."""
-    from ndob_fmu.model.loading import load_model
-    from ndob_fmu.native.build import build_native, build_native_components
+@pytest.fixture(scope="module")
+def native_fmus(tmp_path_factory):
+    """Native FMUs by name and by FMI's version: plant, observer and components in FMI 2, components in FMI 3."""
+    folder, platforms = tmp_path_factory.mktemp("native"), ["linux64", "win64"]
+    fmus = [(fmu, 2) for fmu in build_native(load_model("flexible_joint"), folder, platforms=platforms)]
+    for fmi in (2, 3):
+        built = build_native_components(folder / str(fmi), platforms=platforms, fmi=fmi)
+        fmus += [(fmu, fmi) for fmu in built]
+    return {(fmu.stem, fmi): fmu for fmu, fmi in fmus}
 
-    platforms = ["linux64", "win64"]
-    fmus = [*build_native(load_model("flexible_joint"), tmp_path, platforms=platforms)]
-    fmus += build_native_components(tmp_path, platforms=platforms)
-    noisy = {"motor_angle_noise_std": 1e-6, "link_angle_noise_std": 1e-5}
-    paper = {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.5}
-    variants = {OBSERVER: {"noise": noisy, "method 1": paper}, "FlexibleJointPlant": {"sine": SINE}}
-    jobs = {
-        f"{fmu.stem} {variant}": (fmu, values)
-        for fmu in fmus
-        for variant, values in variants.get(fmu.stem, {"": {}}).items()
-    }
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_a_native_fmu_gives_linuxs_trajectories_in_a_c_host(native_fmus, tmp_path, name):
+    """The reference experiments and hard ones; another libm changes the last digits."""
+    experiment = native_experiments(tmp_path)[name]
+    here = Loaded.unpacked(this_machine(tmp_path), native_fmus[experiment.fmu, 2], tmp_path / "fmu")
+    wine_host = Machine(("win64", ".dll"), (str(wine()), windows_path(HOST)), windows_path, environment())
+    on_linux, on_windows = here.play(experiment), replace(here, machine=wine_host).play(experiment)
+    assert on_windows.said == on_linux.said
+    for variable, expected, found in zip(on_linux.names, on_linux.rows[0].T, on_windows.rows[0].T, strict=True):
+        if (name, variable) == (OBSERVER, "consistency"):
+            continue  # of residuals that are rounding errors
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(expected), variable)
+        error = np.nanmax(np.abs(found - expected), initial=0.0)
+        bound = NATIVE_AT_HIGHEST_GAIN if name == OBSERVER else NATIVE
+        assert error <= bound * scale({variable: expected}, variable), variable
+
+
+def test_native_components_in_fmi_3_give_linuxs_trajectories_in_fmpy(native_fmus, tmp_path):
+    jobs = {name: (fmu, moved(RECORDS[name].variables)) for (name, fmi), fmu in native_fmus.items() if fmi == 3}
     script, found = ROOT / "tests" / "windows" / "simulate.py", []
     for name, named in (("linux", str), ("windows", windows_path)):
         (tmp_path / f"{name}.json").write_text(json.dumps({k: (named(f), v) for k, (f, v) in jobs.items()}), "utf-8")
@@ -148,14 +171,22 @@ def test_native_fmus_give_linuxs_trajectories_and_need_no_python(tmp_path):
             assert (done.returncode, done.stderr) == (0, "")
         found.append(read(tmp_path / f"{name}.npz"))
     on_linux, on_windows = found
-    assert len(on_linux) == len(jobs) == 7
+    assert set(on_linux) == set(RECORDS)
     for job, columns in on_linux.items():
         for variable, column in columns.items():
             error = np.nanmax(np.abs(on_windows[job][variable] - column))
-            assert error <= 1e-9 * scale(columns, variable), (job, variable)
-    with zipfile.ZipFile(fmus[1]) as archive:
-        library = archive.read(f"binaries/win64/{OBSERVER}.dll")
-    assert b"python" not in library.lower()
+            assert error <= NATIVE * scale(columns, variable), (job, variable)
+
+
+def test_a_native_binary_for_windows_shows_nothing_but_fmi_and_needs_nothing_but_windows(native_fmus, tmp_path):
+    for (name, fmi), fmu in native_fmus.items():
+        with zipfile.ZipFile(fmu) as archive:
+            folder = {2: "win64", 3: "x86_64-windows"}[fmi]
+            library = Path(archive.extract(f"binaries/{folder}/{name}.dll", tmp_path / str(fmi)))
+        needed, exported = described(library)
+        assert needed <= {"kernel32.dll", "msvcrt.dll"}
+        assert f"fmi{fmi}DoStep" in exported
+        assert [symbol for symbol in exported if not symbol.startswith(f"fmi{fmi}")] == []
 
 
 class Native:
@@ -276,12 +307,15 @@ def test_two_fmus_in_one_process_and_two_threads(unpacked):
 def test_a_binary_for_windows_shows_nothing_but_fmi_and_needs_nothing_but_windows(name, tmp_path):
     with zipfile.ZipFile(ROOT / "build" / "fmus" / f"{name}.fmu") as archive:
         archive.extract(f"binaries/win64/{name}.dll", tmp_path)
-    command = ["x86_64-w64-mingw32-objdump", "-p", str(Path(tmp_path, "binaries", "win64", f"{name}.dll"))]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert {line.split()[-1].lower() for line in said.splitlines() if "DLL Name" in line} <= {
-        "kernel32.dll",
-        "msvcrt.dll",
-    }
-    exported = re.findall(r"^\s*\[ *\d+\] (?:\+base\[ *\d+\] *\w+ )?(\w+)$", said, re.MULTILINE)
-    assert {"fmi2Instantiate", "fmi2DoStep"} <= set(exported)
+    needed, exported = described(Path(tmp_path, "binaries", "win64", f"{name}.dll"))
+    assert needed <= {"kernel32.dll", "msvcrt.dll"}
+    assert {"fmi2Instantiate", "fmi2DoStep"} <= exported
     assert [symbol for symbol in exported if not symbol.startswith("fmi2")] == []
+
+
+def described(library):
+    """Return the names of the DLLs that a library needs, and of the functions that it shows."""
+    command = ["x86_64-w64-mingw32-objdump", "-p", str(library)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    needed = {line.split()[-1].lower() for line in said.splitlines() if "DLL Name" in line}
+    return needed, set(re.findall(r"^\s*\[ *\d+\] (?:\+base\[ *\d+\] *\w+ )?(\w+)$", said, re.MULTILINE))

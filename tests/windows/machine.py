@@ -56,14 +56,19 @@ def windows_path(path: Path) -> str:
     return "Z:" + str(path).replace("/", "\\")
 
 
-def run(program: Path, *words: str, text: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a Windows program with these arguments and this standard input."""
+def environment() -> dict[str, str]:
+    """Return that of a Windows program."""
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "TMPDIR", "USER") if name in os.environ}
     own = {"WINEPREFIX": str(FOLDER / "prefix"), "WINEDEBUG": "-all", "WINEARCH": "win64", "LC_ALL": "C.UTF-8"}
+    return kept | own
+
+
+def run(program: Path, *words: str, text: str = "", **more: str) -> subprocess.CompletedProcess[str]:
+    """Run a Windows program with these arguments, this standard input, and more in its environment."""
     return subprocess.run(
         [str(wine()), str(program), *words],
         input=text,
-        env=kept | own | environment,
+        env=environment() | more,
         capture_output=True,
         encoding="utf-8",
         timeout=300,
