@@ -207,9 +207,8 @@ def stepped(library: Library, handle: c_void_p, t: float) -> tuple[int, tuple]:
     return status, library.get(handle, library.references("Real", "output"))[1]
 
 
-def used(library: Library, handle: c_void_p, mode: int, snapshot: list) -> str:
-    """Go on as a host would from a state that was taken; return how that went."""
-    stop, t = snapshot[8:10]
+def used(library: Library, handle: c_void_p, mode: int, stop: float | None, t: float) -> str:
+    """Go on as a host would from a state that was taken, at time t; return how that went."""
     if mode == TERMINATED:
         assert library.get(handle, library.references("Real", "output"))[0] in (OK, ERROR)
         return "terminated"
@@ -270,7 +269,7 @@ def trial(library: Library, mode: int, handle: c_void_p, data: bytes, path: tupl
         return "refused"
     assert not odd, "bytes that no slave writes are taken"
     assert type(value) is type(old) or None in (value, old), "a value of another type is taken"
-    how = used(library, handle, mode, tree["state"])
+    how = used(library, handle, mode, *tree["state"][8:10])
     passed = time.process_time() - before
     assert passed < LONGEST, f"{passed:.1f} s"
     assert taken(library, handle, data)

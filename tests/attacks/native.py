@@ -1,0 +1,86 @@
+"""Native FMUs with AddressSanitizer and UndefinedBehaviorSanitizer in them, under all attacks on FMUs.
+
+python -m tests.attacks.native --calls 100000 --trials 5000 --seed 1
+
+The walk of random calls (tests.fuzz), crafted states, odd texts and odd steps. The first error of a sanitizer ends a
+process, which counts as a crash. Needs gcc with its sanitizers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+from ndob_fmu.model.loading import load_model
+from ndob_fmu.native.build import build_native, build_native_components
+
+FLAGS = (
+    *("-std=c11", "-O1", "-g", "-shared", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"),
+    *("-fsanitize=address,undefined,float-cast-overflow,bounds-strict", "-fno-sanitize-recover=all"),
+)
+
+
+def sanitized(fmu: Path, folder: Path) -> Path:
+    """Write the FMU with a binary for linux64 that its own sources give with sanitizers; return the path."""
+    target, library = folder / fmu.name, f"binaries/linux64/{fmu.stem}.so"
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, zipfile.ZipFile(fmu) as archive:
+        archive.extractall(work)
+        source = f"sources/{fmu.stem}.c"
+        subprocess.run(["gcc", *FLAGS, source, "-o", library, "-lm"], cwd=work, check=True)
+        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as written:
+            for path in sorted(path for path in Path(work).rglob("*") if path.is_file()):
+                written.write(path, path.relative_to(work).as_posix())
+    return target
+
+
+def environment() -> dict[str, str]:
+    """Return that of a process with the sanitizers, which must be loaded first; Python itself leaks at its end."""
+    found = [
+        subprocess.run(["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True).stdout.strip()
+        for name in ("libasan.so", "libubsan.so")
+    ]
+    return {
+        **os.environ,
+        "LD_PRELOAD": ":".join(found),
+        "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:detect_stack_use_after_return=1",
+        "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1",
+    }
+
+
+def attacks(calls: int, trials: int, seed: int) -> list[list[str]]:
+    """Return the words of each attack, without the folder of FMUs."""
+    of_trials = ("tests.attacks.native_states", "tests.attacks.texts", "tests.attacks.steps")
+    return [
+        ["tests.fuzz", "--calls", str(calls), "--seed", str(seed)],
+        *([name, "--trials", str(trials), "--seed", str(seed)] for name in of_trials),
+    ]
+
+
+def main() -> int:
+    """Run the attacks and return 1 if one of them found something."""
+    parser = argparse.ArgumentParser(prog="python -m tests.attacks.native", description=__doc__.splitlines()[0])
+    parser.add_argument("--calls", type=int, default=100_000)
+    parser.add_argument("--trials", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
+        plain, folder = Path(work, "plain"), Path(work, "sanitized")
+        folder.mkdir()
+        for fmu in (*build_native(load_model("flexible_joint"), plain), *build_native_components(plain)):
+            sanitized(fmu, folder)
+        found = 0
+        for words in attacks(options.calls, options.trials, options.seed):
+            print("python -m", *words, flush=True)
+            command = [sys.executable, "-m", *words, "--fmus", str(folder)]
+            found += subprocess.run(command, env=environment(), check=False).returncode != 0
+    print(f"native FMUs with sanitizers: {found} of the attacks found something")
+    return int(found > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
