@@ -31,6 +31,7 @@ WAY = [
     "fmu",
     "cosim",
     "results",
+    "log",
     "study",
     "report",
     "packages",

@@ -11,6 +11,7 @@ from contextlib import nullcontext, suppress
 from typing import NoReturn
 
 from ndob_fmu import __version__
+from ndob_fmu.command_line.log_commands import add_log_commands
 from ndob_fmu.command_line.model_commands import add_model_commands
 from ndob_fmu.command_line.simulation_commands import add_simulation_commands
 from ndob_fmu.command_line.study_commands import add_study_commands
@@ -96,6 +97,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     add_model_commands(commands)
+    add_log_commands(commands)
     add_simulation_commands(commands)
     add_study_commands(commands)
     return parser

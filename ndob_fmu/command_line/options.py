@@ -43,6 +43,17 @@ def pairs(option: str, words: Sequence[str]) -> dict[str, str]:
     return dict(zip(words[::2], words[1::2], strict=True))
 
 
+def assignments(option: str, words: Sequence[str]) -> dict[str, str]:
+    """Return the LEFT=RIGHT … of an option as a mapping."""
+    found = {}
+    for word in words:
+        left, equals, right = word.partition("=")
+        if not (left and equals and right):
+            raise UsageError.report(option, expected="COLUMN=NAME, without spaces", received=repr(word))
+        found[left] = right
+    return found
+
+
 def number_or_pairs(option: str, words: Sequence[str] | None) -> float | dict[str, float] | None:
     """Return the one number of an option, or its NAME NUMBER … as a mapping; None where it is not given."""
     if words is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
@@ -23,15 +24,22 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     Reals have every digit that makes them exact when read back; Booleans are 0 or 1. Raises UsageError if the file
     cannot be written; an older file then stays as it was.
     """
-    formats = [repr] + [repr if kind == "Real" else _integer for kind in recording.types]
+    write_csv_parts(path, [recording])
+
+
+def write_csv_parts(path: str | Path, parts: Iterable[Recording]) -> None:
+    """Write recordings of the same signals one after the other as `write_csv`; there must be at least one."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        header = csv.writer(file, quoting=csv.QUOTE_ALL, lineterminator="\n")
-        header.writerow(["time", *recording.names])
-        block = max(1, _VALUES_IN_A_BLOCK // len(formats))
-        for first in range(0, len(recording.time), block):
-            rows = slice(first, first + block)
-            for row in np.column_stack([recording.time[rows], recording.columns[rows]]).tolist():
-                file.write(",".join([as_text(value) for as_text, value in zip(formats, row, strict=True)]) + "\n")
+        for i, recording in enumerate(parts):
+            if i == 0:
+                header = csv.writer(file, quoting=csv.QUOTE_ALL, lineterminator="\n")
+                header.writerow(["time", *recording.names])
+            formats = [repr] + [repr if kind == "Real" else _integer for kind in recording.types]
+            block = max(1, _VALUES_IN_A_BLOCK // len(formats))
+            for first in range(0, len(recording.time), block):
+                rows = slice(first, first + block)
+                for row in np.column_stack([recording.time[rows], recording.columns[rows]]).tolist():
+                    file.write(",".join([as_text(value) for as_text, value in zip(formats, row, strict=True)]) + "\n")
 
 
 def _integer(value: float) -> str:

@@ -26,11 +26,16 @@ def write_run(folder: Path, recording: Recording, summary: Mapping[str, Any], in
     inputs: what the inputs from a file had at each row of the recording.
     """
     write_csv(folder / RESULT, recording)
-    digests = {_DIGEST: _digest(folder / RESULT)}
+    digests = {}
     if inputs is not None:
         write_csv(folder / _INPUTS, inputs)
         digests[_INPUTS_DIGEST] = _digest(folder / _INPUTS)
-    write_sealed_json(folder / _SUMMARY, {**summary, **digests})
+    write_summary(folder, {**summary, **digests})
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Write summary.json beside the result.csv that is there; raise UsageError if it cannot be written."""
+    write_sealed_json(folder / _SUMMARY, {**summary, _DIGEST: _digest(folder / RESULT)})
 
 
 def read_run(folder: Path) -> tuple[Recording, dict[str, Any], Recording | None]:

@@ -1,0 +1,122 @@
+"""What the residuals of a log say of the settings: their size, whether they are white, how many were refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndob_fmu.log.online import Stretch
+from ndob_fmu.runtime.arrays import Array
+
+LAGS = 20
+# Twice the standard error is the band of a right setting. Long logs have narrow ones, in which nothing real lies: what
+# is smaller than these is not worth a change.
+_SIZE, _CORRELATED, _REFUSED = 1.3, 0.2, 0.01
+_NOISE = 1.5
+
+
+@dataclass(frozen=True)
+class OutputDiagnosis:
+    """The residuals of one output.
+
+    samples: how many are counted, from the end of the start on
+    size: mean square of the residuals over their variance; 1 is right
+    size_band: how far it may be from 1 by chance
+    correlation (LAGS,): of residuals one sample apart, two, …; 0 is right
+    correlation_band: how far they may be from 0 by chance
+    refused: share of the samples that were refused
+    noise_factor: the noise that the residuals show, over the noise_std that was told
+    """
+
+    samples: int
+    size: float
+    size_band: float
+    correlation: Array
+    correlation_band: float
+    refused: float
+    noise_factor: float
+
+    def verdicts(self, output: str, noise_std: float, unit: str) -> Iterator[str]:
+        """Yield what is wrong with a setting, and what to change, one line each; none where all is right."""
+        if self.samples < LAGS:
+            yield f"{output}: too few samples for a verdict ({self.samples})"
+            return
+        if self.refused > _REFUSED:
+            yield (
+                f"{output}: {100.0 * self.refused:.1f} % of the samples were refused; look at them in result.csv for "
+                "outliers and a sensor that sticks"
+            )
+        noise_is_wrong = not 1.0 / _NOISE < self.noise_factor < _NOISE
+        if noise_is_wrong:
+            factor = max(self.noise_factor, 1.0 / self.noise_factor)
+            size = "small" if self.noise_factor > 1.0 else "large"
+            better = f"{noise_std * self.noise_factor:.2g} {unit}".rstrip()
+            yield f"noise_std of {output} is about {factor:.1f} × too {size}: the residuals show {better}"
+        yield from self._of_disturbance(output)
+
+    def _of_disturbance(self, output: str) -> Iterator[str]:
+        first = float(self.correlation[0])
+        beyond = max(_CORRELATED, self.correlation_band)
+        if first > beyond:
+            yield (
+                f"{output}: residuals follow one another (correlation {first:.2f}); the disturbance moves faster than "
+                "disturbance_rate says, or the model lacks something"
+            )
+        elif self.size > _SIZE + self.size_band:
+            yield (
+                f"{output}: residuals are {self.size**0.5:.1f} × as large as predicted; the disturbance is larger or "
+                "faster than disturbance_bound and disturbance_rate say, or the model lacks something"
+            )
+        elif self.size < 1.0 / _SIZE - self.size_band:
+            yield (
+                f"{output}: residuals are {self.size**0.5:.2f} × as large as predicted; the disturbance is slower than "
+                "disturbance_rate says: a lower rate gives a calmer estimate with a narrower band"
+            )
+
+
+class ResidualTally:
+    """Sums over the residuals of a log, stretch by stretch."""
+
+    def __init__(self, outputs: int, start_samples: int) -> None:
+        self._start = start_samples
+        self._rows = np.empty((0, outputs))
+        self._counts, self._products = np.zeros((LAGS + 1, outputs)), np.zeros((LAGS + 1, outputs))
+        self._measured, self._refused = np.zeros(outputs), np.zeros(outputs)
+        self._ratio = np.ones(outputs)
+
+    def add(self, stretch: Stretch) -> None:
+        """Count a stretch; those before it must have been added."""
+        said = stretch.online
+        usable = np.where(said.refused > 0.0, np.nan, said.residual / said.residual_std)
+        self._measured += np.isfinite(said.residual).sum(axis=0)
+        self._refused += ((said.refused > 0.0) & np.isfinite(said.residual)).sum(axis=0)
+        self._ratio = said.noise_ratio[-1]
+        left_out = min(self._start, len(usable))
+        self._start -= left_out
+        usable[:left_out] = np.nan
+        known = len(self._rows)
+        rows = np.concatenate([self._rows, usable])
+        for lag in range(LAGS + 1):
+            later = rows[max(known, lag) :]
+            product = later * rows[max(known, lag) - lag : len(rows) - lag]
+            self._counts[lag] += np.isfinite(product).sum(axis=0)
+            self._products[lag] += np.nansum(product, axis=0)
+        self._rows = rows[-LAGS:]
+
+    def diagnoses(self) -> Sequence[OutputDiagnosis]:
+        """Return the diagnosis of each output."""
+        mean = self._products / np.maximum(self._counts, 1.0)
+        return [
+            OutputDiagnosis(
+                samples=int(count),
+                size=float(mean[0, i]),
+                size_band=2.0 * (2.0 / max(count, 1.0)) ** 0.5,
+                correlation=mean[1:, i] / mean[0, i] if mean[0, i] > 0.0 else np.zeros(LAGS),
+                correlation_band=2.0 / max(count, 1.0) ** 0.5,
+                refused=float(self._refused[i] / max(self._measured[i], 1.0)),
+                noise_factor=float(self._ratio[i] ** 0.5),
+            )
+            for i, count in enumerate(self._counts[0].tolist())
+        ]

@@ -1,0 +1,92 @@
+"""The figures of an estimated log: each disturbance with its bands, and the residuals of each output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ndob_fmu.log.diagnostics import LAGS, OutputDiagnosis
+from ndob_fmu.log.result_table import LOG, OBSERVER, SMOOTHER
+from ndob_fmu.results import plots
+from ndob_fmu.results.recording import Recording
+from ndob_fmu.runtime.arrays import Array
+
+# Points of a line: more cannot be seen.
+_POINTS = 20_000
+
+
+class Thinned:
+    """Every k-th row of a recording that comes in parts, with k such that a figure can show them."""
+
+    def __init__(self) -> None:
+        self._every, self._skip, self._parts = 1, 0, [np.empty((0, 0))]
+        self._names: tuple[str, ...] = ()
+
+    def add(self, part: Recording) -> Recording:
+        """Keep some rows of a part, and return it."""
+        rows = np.column_stack([part.time, part.columns])
+        kept = rows[self._skip :: self._every]
+        self._skip = (self._skip - len(rows)) % self._every
+        self._parts = [*(p for p in self._parts if p.size), kept]
+        self._names = part.names
+        if sum(map(len, self._parts)) > _POINTS:
+            whole = np.concatenate(self._parts)
+            # The next row that is kept lies two old distances behind the last one of these.
+            self._skip += self._every if len(whole) % 2 else 0
+            self._parts, self._every = [whole[::2]], 2 * self._every
+        return part
+
+    def __getitem__(self, name: str) -> Array:
+        """Return the kept values of a signal, or of ``time``."""
+        column = 0 if name == "time" else 1 + self._names.index(name)
+        return np.concatenate([part[:, column] for part in self._parts])
+
+
+def write_figures(
+    folder: Path,
+    kept: Thinned,
+    disturbances: Sequence[tuple[str, str]],
+    outputs: Sequence[tuple[str, str]],
+    diagnoses: Mapping[str, OutputDiagnosis],
+    *,
+    smooths: bool,
+) -> None:
+    """Write fig1_disturbance.png, fig2_outputs.png and fig3_residuals.png.
+
+    disturbances, outputs: names and units
+    """
+    time = kept["time"]
+    with plots.figure(folder / "fig1_disturbance.png", rows=len(disturbances)) as rows:
+        for axes, (name, unit) in zip(rows, disturbances, strict=True):
+            lines = [(OBSERVER, f"{name}_hat", f"{name}_std", "online", "C0")]
+            lines += [(SMOOTHER, name, f"{name}_std", "smoothed", "C3")] if smooths else []
+            for component, mean, std, label, color in lines:
+                value, bar = kept[f"{component}.{mean}"], 2.0 * kept[f"{component}.{std}"]
+                axes.plot(time, value, color=color, linewidth=1.0, label=f"{label}, ± 2 std")
+                axes.fill_between(time, value - bar, value + bar, color=color, alpha=0.15, linewidth=0.0)
+            axes.set_ylabel(f"{name} [{unit}]")
+            axes.legend(loc="upper right")
+        axes.set_xlabel("time [s]")
+    with plots.figure(folder / "fig2_outputs.png", rows=2 * len(outputs)) as rows:
+        for i, (name, unit) in enumerate(outputs):
+            above, below = rows[2 * i], rows[2 * i + 1]
+            # A residual stands in the row behind that of its sample.
+            sample, residual = kept[f"{LOG}.{name}"], kept[f"{OBSERVER}.{name}_residual"]
+            bar = 2.0 * kept[f"{OBSERVER}.{name}_residual_std"]
+            above.plot(time, sample, color="C0", linewidth=1.0, label="sample")
+            above.set_ylabel(f"{name} [{unit}]")
+            above.legend(loc="upper right")
+            below.plot(time, residual, ".", markersize=1.5, color="C1", label="residual")
+            below.fill_between(time, -bar, bar, color="0.5", alpha=0.25, linewidth=0.0, label="± 2 std")
+            below.set_ylabel(f"[{unit}]")
+            below.legend(loc="upper right")
+        below.set_xlabel("time [s]")
+    with plots.figure(folder / "fig3_residuals.png", rows=len(outputs)) as rows:
+        for axes, (name, found) in zip(rows, diagnoses.items(), strict=True):
+            axes.bar(np.arange(1, LAGS + 1), found.correlation, color="C0", width=0.6)
+            axes.axhspan(-found.correlation_band, found.correlation_band, color="0.5", alpha=0.25, linewidth=0.0)
+            axes.set_ylim(-1.0, 1.0)
+            axes.set_ylabel(f"correlation of {name}'s residuals")
+        axes.set_xlabel("samples apart")

@@ -1,0 +1,111 @@
+"""Which columns of a file are which of a model's signals, and in which units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndob_fmu.errors import UsageError, nearest, one_of, some_of
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.support.units import Unit
+
+TIME = "time"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of a file that are read, S signals.
+
+    places: of each signal in a row
+    names: of the columns, as the header has them
+    factor, offset (S,): turn a value into the model's unit
+    """
+
+    places: tuple[int, ...]
+    names: tuple[str, ...]
+    factor: Array
+    offset: Array
+
+    def converted(self, rows: Array) -> Array:
+        """Return rows (K,S) in the units of the model."""
+        return np.asarray(rows * self.factor + self.offset)
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The signals of a model that a log must have: the time, the inputs, the outputs.
+
+    inputs, outputs: their names
+    model_units: by name, of those that have one; the time is in s
+    names: the model's name for each column that has another one in the file
+    units: of columns that are not in the model's unit, in Modelica's notation
+    """
+
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+    model_units: Mapping[str, str]
+    names: Mapping[str, str]
+    units: Mapping[str, str]
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """The time, the inputs, the outputs."""
+        return (TIME, *self.inputs, *self.outputs)
+
+
+def columns_of(where: str, header: Sequence[str], signals: Signals) -> Columns:
+    """Return the columns of a file with a header.
+
+    Raises UsageError where the file lacks one, or where names and units do not fit the file or the model.
+    """
+    for column, name in signals.names.items():
+        if name not in signals.all:
+            raise UsageError.report(
+                f"--map {column}={name}",
+                expected=one_of("signal", signals.all, name),
+                received=repr(name),
+                likely=nearest(name, signals.all),
+            )
+    for option, columns in (("--map", signals.names), ("--unit", signals.units)):
+        for column in columns:
+            if column not in header:
+                raise UsageError.report(
+                    f"{option} {column}",
+                    expected=f"a column of {where}",
+                    received=repr(column),
+                    likely=nearest(column, header) or f"it has {some_of(header)}",
+                )
+    known = {column: column for column in header if column not in signals.names}
+    known |= {name: column for column, name in signals.names.items()}
+    if missing := [name for name in signals.all if name not in known]:
+        raise UsageError.report(
+            where,
+            expected=f"a column {missing[0]}" + (f", and {len(missing) - 1} more" if missing[1:] else ""),
+            received=f"columns {some_of(header)}" if any(header) else "an empty file",
+            likely=f"--map COLUMN={missing[0]} says which it is" if any(header) else "",
+        )
+    chosen = tuple(known[name] for name in signals.all)
+    scales = [_scale(signals, column, name) for column, name in zip(chosen, signals.all, strict=True)]
+    factor, offset = np.array(scales).T
+    return Columns(tuple(list(header).index(column) for column in chosen), chosen, factor, offset)
+
+
+def _scale(signals: Signals, column: str, name: str) -> tuple[float, float]:
+    unit, own = signals.units.get(column), "s" if name == TIME else signals.model_units.get(name)
+    if unit is None:
+        return 1.0, 0.0
+    if own is None:
+        raise UsageError.report(
+            f"--unit {column}={unit}",
+            expected=f"a unit of {name} in the model, to convert to",
+            received="none",
+            likely=f'units={{"{name}": …}} is missing in the model',
+        )
+    found = Unit(unit).to(Unit(own))
+    if found is None:
+        raise UsageError.report(
+            f"--unit {column}={unit}", expected=f"a unit that can become {own}, that of {name}", received=repr(unit)
+        )
+    return found

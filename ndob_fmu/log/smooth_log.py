@@ -1,0 +1,126 @@
+"""The smoothed estimate of a log: what all of its samples, earlier and later ones, say about each row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndob_fmu.log.along import Samples, Start, record_along
+from ndob_fmu.log.events import Events, Explained, explained
+from ndob_fmu.log.online import Stretch
+from ndob_fmu.log.smoother import smoothed
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.equations import Vector
+from ndob_fmu.runtime.step.adaptive_noise import in_use
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from ndob_fmu.runtime.step.tuned import Tuned, filter_model
+
+# Rows of the next stretch that a stretch is smoothed with; later samples say nothing more about it.
+_LOOK_AHEAD = 2000
+# Rows after which a ratio of the noise, which follows the residuals, can be believed.
+_SURE = 200
+# The equations are linearised along the online estimate, then along the smoothed one.
+_LINEARISATIONS = 2
+_LEAST_SPACING = 3
+
+
+@dataclass(frozen=True)
+class SmoothedStretch:
+    """The smoothed estimate at the rows of a stretch.
+
+    x, x_std (K,n), d, d_std (K,q2): states and disturbances with their error bars
+    jumps, outliers: how many were found
+    """
+
+    x: Array
+    x_std: Array
+    d: Array
+    d_std: Array
+    jumps: int
+    outliers: int
+
+
+def can_smooth(observer: SampledObserver) -> bool:
+    """Return whether there is a smoothed estimate: not for r = 0, whose d has no model, and not of late samples."""
+    return observer.layout.order > 0 and not any(observer.settings.sensors.delay)
+
+
+def start_samples(observer: SampledObserver) -> int:
+    """Return how many samples the start lasts."""
+    return filter_model(observer, 1.0, 0.0).start_samples
+
+
+def smooth(
+    observer: SampledObserver, x_hat: Vector, stretches: Iterator[Stretch]
+) -> Iterator[tuple[Stretch, SmoothedStretch]]:
+    """Yield each stretch of a log with its smoothed estimate, for an observer that ran along it from x̂₀ (n,).
+
+    A stretch is smoothed together with the first rows of the next one.
+
+    Raises IntegrationError where the equations cannot be followed.
+    """
+    stretch = next(stretches)
+    tuned = observer.tuned(stretch.usual)
+    xi = observer.layout.unpacked(observer.init(x_hat).xi_hat)
+    start, started = Start(xi, np.diag(tuned.model.start_std)), tuned.model.start_samples
+    while True:
+        following = next(stretches, None)
+        part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
+        found, trajectory = _explained(observer, tuned, part, start, started)
+        K = len(stretch.log.time)
+        yield stretch, _result(tuned.model, found, trajectory, K)
+        if following is None:
+            return
+        start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
+        started = 0
+        stretch = following
+
+
+def _explained(
+    observer: SampledObserver, tuned: Tuned, part: Stretch, start: Start, started: int
+) -> tuple[Explained, Array]:
+    """Return a stretch as its events explain it, and the trajectory (K,N) about which it is linear.
+
+    started: rows of the start, in which the disturbance is unknown anyway
+    """
+    model, said = tuned.model, part.online
+    samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, _noise_variance(model, said.noise_ratio))
+    events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
+    spacing = max(_LEAST_SPACING, round(2.0 * model.jump_spacing / tuned.H))
+    as_told = [1.0] * samples.outputs.shape[1]
+    trajectory = np.array([observer.layout.unpacked(row) for row in said.predicted])
+    for _ in range(1 if model.is_linear else _LINEARISATIONS):
+        record, columns = record_along(model, samples, trajectory, lambda H: tuned.intensity(H, as_told), start)
+        found = explained(record, columns, spacing, started, events)
+        about, events = trajectory, found.events
+        trajectory = about + smoothed(found.forward, found.adjoint).xi
+    return found, about
+
+
+def _noise_variance(model: FilterModel, ratio: Array) -> Array:
+    """Return the variances of the samples (K,p), for ratios (K,p) that follow the residuals."""
+    if not model.adapts:
+        return np.broadcast_to(model.noise_variance, ratio.shape)
+    first = min(_SURE, len(ratio) - 1)
+    believed = np.concatenate([np.broadcast_to(ratio[first], (first, ratio.shape[1])), ratio[first:]])
+    least = model.least_noise.tolist()
+    return np.asarray(model.noise_variance * [in_use(row, least) for row in believed.tolist()])
+
+
+def _result(model: FilterModel, found: Explained, about: Array, rows: int) -> SmoothedStretch:
+    """Return the smoothed estimate at the first rows."""
+    n, d = model.layout.n, model.layout.disturbance
+    all_rows = smoothed(found.forward, found.adjoint)
+    xi, covariance = about[:rows] + all_rows.xi[:rows], all_rows.covariance[:rows]
+    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    return SmoothedStretch(
+        x=xi[:, :n],
+        x_std=std[:, :n],
+        d=xi[:, d],
+        d_std=np.minimum(std[:, d], model.bound),
+        jumps=sum(k < rows for k in found.events.jumps),
+        outliers=sum(k < rows for k, _ in found.events.outliers),
+    )

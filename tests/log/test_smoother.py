@@ -1,0 +1,138 @@
+"""The smoother against the best estimate from all samples at once, and the events that it finds."""
+
+import numpy as np
+import pytest
+
+from ndob_fmu.log.events import Events, Jumps, explained
+from ndob_fmu.log.smoother import LinearRecord, backward, forward, smoothed
+from tests.helpers.batch_estimate import Batch
+
+SIZES = [(2, 1, 9), (3, 2, 12), (5, 2, 15), (4, 3, 20)]
+
+
+def random_record(N, p, K, seed, missing=0.2):
+    """A record in which some samples are missing; instants, states and outputs are of different numbers."""
+    random = np.random.default_rng(seed)
+    Phi = np.eye(N) + 0.3 * random.standard_normal((K - 1, N, N))
+    noise = np.tril(random.standard_normal((K - 1, N, N))) * 0.3
+    misfit = random.standard_normal((K, p))
+    misfit[random.random((K, p)) < missing] = np.nan
+    return LinearRecord(
+        Phi=Phi,
+        noise=noise,
+        shift=random.standard_normal((K - 1, N)),
+        rows=random.standard_normal((K, p, N)),
+        misfit=misfit,
+        variance=random.uniform(0.01, 1.0, (K, p)),
+        start=random.standard_normal(N),
+        start_factor=np.diag(random.uniform(0.5, 2.0, N)),
+    )
+
+
+def batch_of(record, jumps):
+    batch = Batch(record.start, np.diag(record.start_factor))
+    for k in range(len(record.rows)):
+        if k:
+            batch.step(record.Phi[k - 1], record.noise[k - 1] @ record.noise[k - 1].T)
+            mean, sources = batch.newest
+            batch.nodes[-1] = (mean + record.shift[k - 1], sources)
+        for column in jumps.get(k, np.zeros((1, 0))).T:
+            batch.add(column, 1.0)
+        for i in np.flatnonzero(np.isfinite(record.misfit[k])):
+            batch.measure(k, record.rows[k, i], record.misfit[k, i], record.variance[k, i])
+    return batch
+
+
+@pytest.mark.parametrize(("N", "p", "K"), SIZES)
+@pytest.mark.parametrize("jump", [None, 4])
+def test_forward_and_backward_together_are_the_least_squares_solution(N, p, K, jump):
+    record = random_record(N, p, K, seed=N)
+    jumps = {} if jump is None else {jump: np.random.default_rng(1).standard_normal((N, 2))}
+    run = forward(record, jumps)
+    found, batch = smoothed(run, backward(record, run)), batch_of(record, jumps)
+    for k in range(K):
+        mean, covariance = batch.estimate(k)
+        np.testing.assert_allclose(found.xi[k], mean, rtol=0, atol=1e-9 * np.abs(mean).max())
+        np.testing.assert_allclose(found.covariance[k], covariance, rtol=0, atol=1e-9 * np.abs(covariance).max())
+
+
+def test_the_likelihoods_of_two_records_differ_as_those_of_all_samples_at_once():
+    """The constant that the batch leaves out depends on the number of samples only."""
+    records = [random_record(3, 2, 12, seed, missing=0.0) for seed in (5, 6)]
+    own, batch = zip(*((forward(r).log_likelihood, batch_of(r, {}).log_likelihood()) for r in records), strict=True)
+    assert own[0] - own[1] == pytest.approx(batch[0] - batch[1], rel=1e-9)
+
+
+def test_the_adjoint_is_the_slope_of_the_likelihood():
+    record = random_record(3, 2, 12, seed=8)
+    run = forward(record)
+    adjoint = backward(record, run)
+    k, step = 5, 1e-5
+    for direction in np.eye(3):
+        shift = record.shift.copy()
+        ends = []
+        for sign in (1.0, -1.0):
+            shift[k - 1] = record.shift[k - 1] + sign * step * direction
+            moved = LinearRecord(**{**vars(record), "shift": shift})
+            ends.append(forward(moved).log_likelihood)
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(adjoint.of_state[k] @ direction, rel=1e-5)
+
+
+def double_integrator(K, d, seed, sigma=1e-3, rate=0.05, H=0.01):
+    """A record of ẍ = d, of which x is measured, and the columns of jumps of at most ± 3."""
+    random = np.random.default_rng(seed)
+    Phi = np.array([[1.0, H, H**2 / 2], [0.0, 1.0, H], [0.0, 0.0, 1.0]])
+    x, v, places = 0.0, 0.0, []
+    for value in d:
+        places.append(x)
+        x, v = x + H * v + H**2 / 2 * value, v + H * value
+    noise = rate * np.sqrt(H) * np.array([[H**2 / 6, 0, 0], [H / 2, H / 12**0.5, 0], [1.0, 0, 0]])
+    jump = np.sqrt(2.0) * 3.0
+    record = LinearRecord(
+        Phi=np.broadcast_to(Phi, (K - 1, 3, 3)),
+        noise=np.broadcast_to(noise, (K - 1, 3, 3)),
+        shift=np.zeros((K - 1, 3)),
+        rows=np.broadcast_to(np.array([[1.0, 0.0, 0.0]]), (K, 1, 3)),
+        misfit=(np.array(places) + sigma * random.standard_normal(K))[:, None],
+        variance=np.full((K, 1), sigma**2),
+        start=np.zeros(3),
+        start_factor=np.diag([0.1, 0.1, 3.0]),
+    )
+    at_sample = np.zeros((K, 3, 1))
+    at_sample[:, 2, 0] = jump
+    nodes = np.array([0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5])
+    left = H * (1.0 - nodes)
+    one = np.array([left**2 / 2, left, np.ones(3)]) * np.sqrt(np.array([5, 8, 5]) / 18.0) * jump
+    return record, Jumps(at_sample, np.broadcast_to(one, (K, 3, 3)))
+
+
+def test_a_steady_disturbance_has_no_events():
+    record, columns = double_integrator(600, np.full(600, 0.7), seed=1)
+    assert explained(record, columns, 5, 9).events == Events()
+
+
+@pytest.mark.parametrize("size", [-2.0, 1.0, 3.0])
+def test_a_jump_is_found_where_it_is(size):
+    d = np.where(np.arange(600) < 250, 0.2, 0.2 + size)
+    record, columns = double_integrator(600, d, seed=2)
+    found = explained(record, columns, 20, 9)
+    assert len(found.events.jumps) == 1
+    assert abs(next(iter(found.events.jumps)) - 250) <= 3
+    error = smoothed(found.forward, found.adjoint).xi[:, 2] - d
+    without = forward(record)
+    plain = smoothed(without, backward(record, without)).xi[:, 2] - d
+    assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(plain**2))
+
+
+def test_outliers_are_found_and_do_not_become_jumps():
+    record, columns = double_integrator(600, np.full(600, 0.7), seed=3)
+    bad = [100, 101, 300, 480]
+    record.misfit[bad, 0] += [0.1, -0.2, 0.05, 3.0]
+    known = Events(outliers=frozenset({(101, 0)}))  # as the observer has refused
+    assert explained(record, columns, 20, 9, known).events == Events({}, frozenset((k, 0) for k in bad))
+
+
+def test_what_is_no_event_after_all_is_given_up():
+    record, columns = double_integrator(600, np.full(600, 0.7), seed=4)
+    known = Events({200: False, 400: True}, frozenset({(77, 0)}))
+    assert explained(record, columns, 5, 9, known).events == Events()
