@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 import zipfile
 from importlib.metadata import version
@@ -11,8 +10,6 @@ from xml.etree import ElementTree
 import fmpy
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_manipulation_toolbox.checker import get_checkers
-from fmu_manipulation_toolbox.operations import FMU
 
 import ndob_fmu
 from ndob_fmu import Model, build
@@ -21,6 +18,7 @@ from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.interface.model_variables import METHOD
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.runtime.equations import Experiment
+from tests.helpers.checkers import toolbox_findings
 from tests.helpers.clean_process import fmpy as fmpy_command
 from tests.helpers.fmi_instance import OK, opened
 from tests.helpers.problems import MODELS
@@ -75,25 +73,6 @@ def altered(fmu, folder, old, new):
                 data = data.replace(old, new)
             target.writestr(name, data)
     return copy
-
-
-def toolbox_findings(fmu):
-    """Return what `fmutool -check` would log as errors or warnings."""
-    found = []
-
-    class Findings(logging.Handler):
-        def emit(self, record):
-            found.append(record.getMessage())
-
-    handler, logger = Findings(logging.WARNING), logging.getLogger("fmu_manipulation_toolbox")
-    logger.addHandler(handler)
-    try:
-        with FMU(str(fmu)) as unpacked:
-            for checker in get_checkers():
-                unpacked.apply_operation(checker())
-    finally:
-        logger.removeHandler(handler)
-    return found
 
 
 def test_fmpy_finds_no_problem_in_the_fmus_of_any_model(fmus):

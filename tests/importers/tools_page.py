@@ -18,7 +18,7 @@ from ndob_fmu import build, load_model
 from ndob_fmu.packages import build_ssp
 from ndob_fmu.support.files import atomic_path
 from ndob_fmu.support.shipped import shipped_folder
-from tests.fmu.test_description import toolbox_findings
+from tests.helpers.checkers import toolbox_findings
 from tests.helpers.native_host import compile_host
 from tests.importers.importer_environments import PINNED
 from tests.importers.importer_runs import RUNS, RUNS_IN_ENVIRONMENTS, TOLERANCE, Bench
