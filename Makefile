@@ -43,6 +43,8 @@ soak: .venv/installed-test build
 	$(BIN)/python -m tests.attacks.names --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.steps --trials 2000 --seed 1 --fmus build/fmus
 	$(BIN)/python -m tests.soak --steps 1000000 --fmus build/fmus
+	$(BIN)/python -m tests.attacks.native --calls 100000 --trials 5000 --seed 1
+	$(BIN)/python -m tests.native_soak --steps 10000000
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile soak tests/analysis/test_assumptions.py tests/codegen/test_generated_step.py
 	$(BIN)/python -m tests.attacks.archives --trials 1000 --seed 1
 	$(BIN)/python -m tests.attacks.bit_flips --trials 2000 --seed 1

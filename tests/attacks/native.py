@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 from ndob_fmu.model.loading import load_model
@@ -25,12 +26,16 @@ FLAGS = (
 )
 
 
-def sanitized(fmu: Path, folder: Path) -> Path:
-    """Write the FMU with a binary for linux64 that its own sources give with sanitizers; return the path."""
+def sanitized(fmu: Path, folder: Path, changed: Callable[[str], str] = str) -> Path:
+    """Write the FMU with a binary for linux64 that its own sources give with sanitizers; return the path.
+
+    changed: gives the source to compile, from that of the FMU
+    """
     target, library = folder / fmu.name, f"binaries/linux64/{fmu.stem}.so"
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, zipfile.ZipFile(fmu) as archive:
         archive.extractall(work)
-        source = f"sources/{fmu.stem}.c"
+        source = Path(work, "sources", f"{fmu.stem}.c")
+        source.write_text(changed(source.read_text("utf-8")), "utf-8")
         subprocess.run(["gcc", *FLAGS, source, "-o", library, "-lm"], cwd=work, check=True)
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as written:
             for path in sorted(path for path in Path(work).rglob("*") if path.is_file()):
@@ -61,6 +66,12 @@ def attacks(calls: int, trials: int, seed: int) -> list[list[str]]:
     ]
 
 
+def attacked(words: list[str], folder: Path) -> int:
+    """Run an attack on the FMUs in the folder, and return its exit code."""
+    command = [sys.executable, "-m", *words, "--fmus", str(folder)]
+    return subprocess.run(command, env=environment(), check=False).returncode
+
+
 def main() -> int:
     """Run the attacks and return 1 if one of them found something."""
     parser = argparse.ArgumentParser(prog="python -m tests.attacks.native", description=__doc__.splitlines()[0])
@@ -76,8 +87,7 @@ def main() -> int:
         found = 0
         for words in attacks(options.calls, options.trials, options.seed):
             print("python -m", *words, flush=True)
-            command = [sys.executable, "-m", *words, "--fmus", str(folder)]
-            found += subprocess.run(command, env=environment(), check=False).returncode != 0
+            found += attacked(words, folder) != 0
     print(f"native FMUs with sanitizers: {found} of the attacks found something")
     return int(found > 0)
 
