@@ -478,7 +478,8 @@ nd nd_tile(nd_arena *a, nd x, int times) {
     nd r = x;
     r.n[0] = x.n[0] * times;
     r = nd_new(a, x.rank, r.n);
-    for (int i = 0; i < times; i++) nd_put(nd_get(r, 1, (nd_ix[]){{ND_RANGE, i * x.n[0], (i + 1) * x.n[0]}}), x);
+    double *to = r.p;
+    for (int i = 0; i < times; i++) to = nd_write(to, x);
     return r;
 }
 
@@ -543,6 +544,19 @@ static bool same_shape(nd x, nd y) {
     return true;
 }
 
+/* The rows of small arrays are shorter than a call. */
+#define ND_EVERY(op, value)                                   \
+    case op:                                                  \
+        ND_LOOP3(o) {                                         \
+            double *to = ND_ROW(r, sr);                       \
+            const double *first = ND_ROW(x, sx), *second = ND_ROW(y, sy); \
+            for (int i = 0; i < o.n[3]; i++) {                \
+                double u = first[i * sx[3]], v = second[i * sy[3]]; \
+                to[i] = (value);                              \
+            }                                                 \
+        }                                                     \
+        break;
+
 nd nd_binary(nd_arena *a, int op, nd x, nd y) {
     nd r = x.rank >= y.rank ? x : y;
     if ((x.rank == 0 || is_compact(x)) && (y.rank == 0 || is_compact(y)) && (x.rank == 0 || y.rank == 0 || same_shape(x, y))) {
@@ -558,7 +572,13 @@ nd nd_binary(nd_arena *a, int op, nd x, nd y) {
     strides_over(r, &o, sr);
     strides_over(x, &o, sx);
     strides_over(y, &o, sy);
-    ND_LOOP3(o) binary_row(op, o.n[3], ND_ROW(r, sr), ND_ROW(x, sx), sx[3], ND_ROW(y, sy), sy[3]);
+    switch (op) {
+        ND_EVERY(ND_ADD, u + v)
+        ND_EVERY(ND_SUB, u - v)
+        ND_EVERY(ND_MUL, u *v)
+        ND_EVERY(ND_DIV, u / v)
+    default: ND_LOOP3(o) binary_row(op, o.n[3], ND_ROW(r, sr), ND_ROW(x, sx), sx[3], ND_ROW(y, sy), sy[3]);
+    }
     return r;
 }
 
@@ -647,6 +667,15 @@ nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
     if (axis < 0) axis += x.rank;
     for (int i = axis; i + 1 < x.rank; i++) r.n[i] = x.n[i + 1];
     r = nd_full(a, x.rank - 1, r.n, start_of(op));
+    if (x.rank == 2) {
+        for (int i = 0; i < r.n[0]; i++) {
+            const double *from = x.p + i * x.s[1 - axis];
+            double so_far = r.p[i];
+            for (int k = 0; k < x.n[axis]; k++) so_far = more_of(op, so_far, from[k * x.s[axis]]);
+            r.p[i] = op == ND_NORM ? sqrt(so_far) : so_far;
+        }
+        return r;
+    }
     rest = r;
     o = shape_of(r);
     steps = x.n[axis];
@@ -733,17 +762,29 @@ bool nd_equal(nd x, nd y) {
 /* -- products */
 
 /* r (rows,columns) in one piece = x (rows,inner) y (inner,columns), for the strides of rows and columns. */
+/* Four columns, or two, at a time stay in registers; each sum goes in the order of the terms. */
 static void multiply(double *r, int rows, int inner, int columns, const double *x, const int *sx, const double *y,
                      const int *sy) {
     for (int i = 0; i < rows; i++, r += columns, x += sx[0]) {
-        for (int j = 0; j < columns; j++) r[j] = 0.0;
-        for (int k = 0; k < inner; k++) {
-            double u = x[k * sx[1]];
-            const double *from = y + k * sy[0];
-            if (sy[1] == 1)
-                for (int j = 0; j < columns; j++) r[j] += u * from[j];
-            else
-                for (int j = 0; j < columns; j++) r[j] += u * from[j * sy[1]];
+        int j = 0;
+        for (; sy[1] == 1 && j + 4 <= columns; j += 4) {
+            double s0 = 0.0, s1 = 0.0, s2 = 0.0, s3 = 0.0;
+            const double *u = x, *v = y + j;
+            for (int k = 0; k < inner; k++, u += sx[1], v += sy[0])
+                s0 += *u * v[0], s1 += *u * v[1], s2 += *u * v[2], s3 += *u * v[3];
+            r[j] = s0, r[j + 1] = s1, r[j + 2] = s2, r[j + 3] = s3;
+        }
+        for (; sy[1] == 1 && j + 2 <= columns; j += 2) {
+            double s0 = 0.0, s1 = 0.0;
+            const double *u = x, *v = y + j;
+            for (int k = 0; k < inner; k++, u += sx[1], v += sy[0]) s0 += *u * v[0], s1 += *u * v[1];
+            r[j] = s0, r[j + 1] = s1;
+        }
+        for (; j < columns; j++) {
+            double sum = 0.0;
+            const double *u = x, *v = y + j * sy[1];
+            for (int k = 0; k < inner; k++, u += sx[1], v += sy[0]) sum += *u * *v;
+            r[j] = sum;
         }
     }
 }
