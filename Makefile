@@ -2,13 +2,16 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build lint bench docs regression exits soak importers tools versions windows clean
+.PHONY: demo test build build-native lint bench docs regression exits soak importers tools versions windows clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
 
 build: .venv/installed
 	$(BIN)/ndob-fmu build flexible_joint --out build/fmus --systems build/ssp
+
+build-native: .venv/installed
+	$(BIN)/ndob-fmu build flexible_joint --target native --systems build/native/ssp
 
 test: .venv/installed-test build lint
 	$(BIN)/pytest -n 2 --dist loadfile

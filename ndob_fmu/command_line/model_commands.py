@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from ndob_fmu.command_line.options import (
     BUILD,
@@ -19,6 +21,10 @@ from ndob_fmu.command_line.options import (
 from ndob_fmu.errors import UsageError
 from ndob_fmu.support.progress import begin
 
+if TYPE_CHECKING:
+    from ndob_fmu.model.model import Model
+
+NATIVE = BUILD / "native"
 _DEMO_SYSTEM = "open_loop"
 
 
@@ -80,7 +86,10 @@ def add_model_commands(commands: Commands) -> None:
     )
     parser.add_argument("model", metavar="MODEL", nargs="?", help=MODEL_HELP)
     parser.add_argument(
-        "--out", type=Path, default=BUILD / "fmus", metavar="DIR", help="folder of the FMUs (%(default)s)"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the FMUs (default: {BUILD / 'fmus'}, of native ones {NATIVE / 'fmus'})",
     )
     parser.add_argument(
         "--components",
@@ -149,35 +158,48 @@ def _design(options: argparse.Namespace) -> int:
 
 
 def _build(options: argparse.Namespace) -> int:
-    if options.target == "native":
-        return _build_native(options)
-    if options.platforms or options.fmi != 2:
+    native = options.target == "native"
+    if not native and (options.platforms or options.fmi != 2):
         given = "--platforms" if options.platforms else "--fmi 3"
         raise UsageError.report(f"build {given}", expected="--target native", received="--target python")
-    for path in _build_all(options.model, options.out, options.components, options.systems):
+    if options.systems is not None and options.fmi != 2:
+        raise UsageError.report("build --systems", expected="--fmi 2, whose FMUs are coupled", received="--fmi 3")
+    out = options.out or (NATIVE if native else BUILD) / "fmus"
+    builders = _native_builders(options.platforms, options.fmi) if native else _python_builders()
+    for path in _build_all(options.model, out, options.components, options.systems, builders):
         print(path)
     return 0
 
 
-def _build_native(options: argparse.Namespace) -> int:
-    from ndob_fmu.model.loading import load_model
-    from ndob_fmu.native.build import build_native, build_native_components, build_native_controller
+class _Builders(NamedTuple):
+    """How the FMUs of a target are built into a folder."""
 
-    if options.systems is not None:
-        raise UsageError.report("build --systems", expected="--target python", received="--target native")
-    chosen = {"platforms": options.platforms, "fmi": options.fmi}
-    if options.model is not None:
-        for path in build_native(load_model(options.model), options.out, **chosen):
-            print(path)
-    if options.model is None or options.components:
-        for path in build_native_components(options.out, **chosen):
-            print(path)
-    if options.model is not None and options.components:
-        print(build_native_controller(load_model(options.model), options.out, **chosen))
-    return 0
+    plant_and_observer: Callable[[Model, Path], Iterable[Path]]
+    components: Callable[[Path], Iterable[Path]]
+    controller: Callable[[Model, Path], Path]
 
 
-def _build_all(name: str | None, out: Path, components: bool, systems: Path | None) -> Iterator[Path]:
+def _python_builders() -> _Builders:
+    from ndob_fmu.fmu import build
+    from ndob_fmu.fmu.components import build_components
+    from ndob_fmu.fmu.controller import build_controller
+
+    return _Builders(build, build_components, build_controller)
+
+
+def _native_builders(platforms: Sequence[str] = (), fmi: int = 2) -> _Builders:
+    from ndob_fmu.native import build as native
+
+    return _Builders(
+        partial(native.build_native, platforms=platforms, fmi=fmi),
+        partial(native.build_native_components, platforms=platforms, fmi=fmi),
+        partial(native.build_native_controller, platforms=platforms, fmi=fmi),
+    )
+
+
+def _build_all(
+    name: str | None, out: Path, components: bool, systems: Path | None, builders: _Builders
+) -> Iterator[Path]:
     """Build one after the other and yield their paths; the controller, whose design may fail, is the last FMU.
 
     Without the name of a model the components that fit any plant are built.
@@ -187,26 +209,15 @@ def _build_all(name: str | None, out: Path, components: bool, systems: Path | No
     if name is None:
         if systems is not None:
             raise UsageError.report("build --systems", expected="the MODEL that the systems contain", received="none")
-        yield from _build_components(out)
+        yield from builders.components(out)
         return
     model = load_model(name)
-
-    from ndob_fmu.fmu import build
-
-    yield from build(model, out)
+    yield from builders.plant_and_observer(model, out)
     if components or systems is not None:
-        from ndob_fmu.fmu.controller import build_controller
-
-        yield from _build_components(out)
-        yield build_controller(model, out)
+        yield from builders.components(out)
+        yield builders.controller(model, out)
     if systems is not None:
         yield from _build_systems(out, systems)
-
-
-def _build_components(out: Path) -> Iterator[Path]:
-    from ndob_fmu.fmu.components import build_components
-
-    yield from build_components(out)
 
 
 def _build_systems(out: Path, systems: Path) -> Iterator[Path]:
@@ -221,5 +232,5 @@ def _build_systems(out: Path, systems: Path) -> Iterator[Path]:
 
 def build_demo() -> Path:
     """Build all that is shipped into the folder of builds, and return the path of the demo's system."""
-    deque(_build_all(DEMO_MODEL, BUILD / "fmus", True, BUILD / "ssp"), maxlen=0)
+    deque(_build_all(DEMO_MODEL, BUILD / "fmus", True, BUILD / "ssp", _python_builders()), maxlen=0)
     return BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
