@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.cosim import simulate
 from ndob_fmu.cosim.run_folder import summary_of, write_system_picture
+from ndob_fmu.errors import NdobError
 from ndob_fmu.results import plots
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import write_run
@@ -70,13 +72,18 @@ def example_results(recording: Recording) -> ExampleResults:
     )
 
 
-def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
+def run_demo(
+    system: Path, results: Path, *, native: Callable[[], Path] | None = None, **overrides: Any
+) -> dict[str, Any]:
     """Run the example's system package, write CSV, summary and figures into `results`, and return the summary.
 
-    `overrides` go to `simulate`. Raises what `simulate` raises.
+    native: returns the same system with native FMUs, for the comparison in the summary; it may raise NdobError
+    overrides: for `simulate`
+
+    Raises what `simulate` raises.
     """
     began = time.perf_counter()
-    recording = simulate(system, **overrides)
+    recording, seconds = _timed(system, overrides)
     wall_time = time.perf_counter() - began
     shorter = min(_START_UP_TIME, float(recording.time[-1]))
 
@@ -98,11 +105,48 @@ def run_demo(system: Path, results: Path, **overrides: Any) -> dict[str, Any]:
         },
         "wall_time": wall_time,
     }
+    if native is not None:
+        summary["native"] = _compared(system, native, overrides, recording, seconds)
     with atomic_folder(results) as new:
         write_run(new, recording, summary)
         _draw_figures(new, shown, peaking, everyday)
         write_system_picture(new, system)
     return summary
+
+
+def _timed(system: Path, settings: Mapping[str, Any]) -> tuple[Recording, float]:
+    """Simulate, and return the seconds of processor time that it took in this thread; others may compile meanwhile."""
+    began = time.thread_time()
+    recording = simulate(system, **settings)
+    return recording, time.thread_time() - began
+
+
+def _compared(
+    system: Path, native: Callable[[], Path], settings: Mapping[str, Any], recording: Recording, seconds: float
+) -> dict[str, Any]:
+    """Compare the system with the same one of native FMUs, with both methods: seconds, and the largest difference.
+
+    recording, seconds: of the system as the settings have it, with the paper's method
+    """
+    try:
+        other = native()
+    except NdobError as error:
+        return {"not_built": str(error)}
+    sampled = {**settings, "start_values": {**(settings.get("start_values") or {}), "observer.method": _SAMPLED_DATA}}
+    both = {
+        "paper": ((recording, seconds), _timed(other, settings)),
+        "sampled_data": (_timed(system, sampled), _timed(other, sampled)),
+    }
+    return {
+        method: {"python_seconds": python[1], "native_seconds": own[1], "difference": _difference(python[0], own[0])}
+        for method, (python, own) in both.items()
+    }
+
+
+def _difference(one: Recording, other: Recording) -> float:
+    """Return the largest difference of a signal of the plant or an estimate, over the signal's largest value."""
+    shown = [name for name in one.names if name.startswith("plant.") or name.endswith("_hat")]
+    return max(float(np.abs(other[name] - one[name]).max() / (np.abs(one[name]).max() or 1.0)) for name in shown)
 
 
 def _draw_figures(results: Path, shown: ExampleResults, peaking: ExampleResults, everyday: ExampleResults) -> None:

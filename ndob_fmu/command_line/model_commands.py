@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -18,7 +19,7 @@ from ndob_fmu.command_line.options import (
     as_json,
     number_or_pairs,
 )
-from ndob_fmu.errors import UsageError
+from ndob_fmu.errors import UsageError, one_of
 from ndob_fmu.support.progress import begin
 
 if TYPE_CHECKING:
@@ -234,3 +235,20 @@ def build_demo() -> Path:
     """Build all that is shipped into the folder of builds, and return the path of the demo's system."""
     deque(_build_all(DEMO_MODEL, BUILD / "fmus", True, BUILD / "ssp", _python_builders()), maxlen=0)
     return BUILD / "ssp" / f"{_DEMO_SYSTEM}.ssp"
+
+
+def build_native_demo(folder: Path) -> Path:
+    """Build the demo's system with FMUs in C in `folder` and return its path; FMUs that are up to date are kept.
+
+    Raises UsageError where that cannot be done on this machine.
+    """
+    from ndob_fmu.model.loading import load_model
+    from ndob_fmu.native.build import build_native, this_platform
+    from ndob_fmu.native.compile import PLATFORMS
+    from ndob_fmu.packages import build_ssp
+    from ndob_fmu.support.shipped import shipped_folder
+
+    if not this_platform():
+        raise UsageError.report("native FMUs", expected=one_of("platform", PLATFORMS), received=sys.platform)
+    build_native(load_model(DEMO_MODEL), folder / "fmus", keep=True)
+    return build_ssp(shipped_folder("ssp") / _DEMO_SYSTEM, folder / "fmus", folder / "ssp")

@@ -39,12 +39,18 @@ def this_platform() -> str:
 
 
 def build_native(
-    model: Model, out: str | Path = "build/native/fmus", *, platforms: Sequence[str] = (), fmi: int = 2
+    model: Model,
+    out: str | Path = "build/native/fmus",
+    *,
+    platforms: Sequence[str] = (),
+    fmi: int = 2,
+    keep: bool = False,
 ) -> tuple[Path, Path]:
     """Write `<Name>Plant.fmu` and `<Name>Observer.fmu` in C into the folder `out` and return their paths.
 
     platforms: names in PLATFORMS; none: this machine's
     fmi: FMI's version, 2 or 3
+    keep: leave FMUs as they are that would have the same sources and binaries for the same platforms
 
     Raises AssumptionError where the model lacks what method 2 needs, ModelError where an expression has no C form, and
     UsageError where a binary cannot be compiled or the folder not be written.
@@ -63,6 +69,7 @@ def build_native(
             _documentation(manual(model, part, variables, needs=_NEEDS), draw_icon(model_icon(model, part))),
             platforms=chosen,
             fmi=fmi,
+            keep=keep,
         )
         for part, variables, code in parts
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import uuid
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from ndob_fmu.fmu import fmi2_xml, fmi3_xml
@@ -25,12 +26,14 @@ def package(
     *,
     platforms: Sequence[str],
     fmi: int = 2,
+    keep: bool = False,
 ) -> Path:
     """Write the native FMU `path` and return its path.
 
     documentation: files by their path in the archive
     platforms: names in PLATFORMS of the binaries that it carries
     fmi: FMI's version, 2 or 3
+    keep: leave a file as it is that has this description, these sources and binaries for these platforms
 
     Raises ModelError for an invalid unit, UsageError where a binary cannot be compiled or the folder not be written.
     """
@@ -44,13 +47,28 @@ def package(
     contents["modelDescription.xml"] = _xml(root)
     if fmi == 3:
         contents["sources/buildDescription.xml"] = _xml(fmi3_xml.build_description(fmu, listed))
-    for target in platforms:
-        chosen = PLATFORMS[target]
-        library = f"binaries/{chosen.folders[fmi - 2]}/{fmu.name}{chosen.suffix}"
+    libraries = {
+        target: f"binaries/{PLATFORMS[target].folders[fmi - 2]}/{fmu.name}{PLATFORMS[target].suffix}"
+        for target in platforms
+    }
+    if keep and _has(path, contents, libraries.values()):
+        return path
+    for target, library in libraries.items():
         contents[library] = binary(fmu.name, files, target)
     with atomic_path(path) as temporary:
         write_archive(temporary, contents | dict(documentation))
     return path
+
+
+def _has(path: Path, contents: Mapping[str, bytes], others: Iterable[str]) -> bool:
+    """Return whether there is an archive with these contents and with the other files."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {*contents, *others} <= {*archive.namelist()} and all(
+                archive.read(name) == data for name, data in contents.items()
+            )
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 def _token(root: ET.Element, files: Mapping[str, str]) -> str:

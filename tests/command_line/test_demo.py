@@ -12,8 +12,12 @@ import pytest
 from fmpy.util import read_csv
 
 from ndob_fmu.cli import main
+from ndob_fmu.command_line.model_commands import build_native_demo
+from ndob_fmu.command_line.simulation_commands import _builds_compared
 from ndob_fmu.demo import example_results, run_demo
+from ndob_fmu.native import compile as compilers
 from ndob_fmu.results.recording import Recording
+from tests.helpers.needs import C_COMPILER, found_c_compiler
 
 PUBLISHED = ["fig1_disturbance.svg", "fig2_state_error.svg", "fig3_peaking.svg", "fig4_start_up.svg"]
 DATA = ["result.csv", "summary.json", "system.svg"]
@@ -48,6 +52,9 @@ def test_the_demo_leaves_the_fmus_the_systems_and_the_results(demo, shipped):
     expected = [f"results/flexible_joint/{name}" for name in (*FIGURES, *PUBLISHED, *DATA)]
     expected += [f"build/fmus/{path.name}" for path in shipped.fmus.glob("*.fmu")]
     expected += [f"build/ssp/{path.name}" for path in shipped.systems.iterdir()]
+    if found_c_compiler():
+        native = ("fmus/FlexibleJointPlant.fmu", "fmus/FlexibleJointObserver.fmu", "ssp/open_loop.ssp")
+        expected += [f"build/native/{name}" for name in native]
     assert found == sorted(str(Path(name)) for name in expected)
 
 
@@ -69,6 +76,27 @@ def test_the_everyday_method_needs_neither_seconds_nor_a_schedule(summary):
     assert everyday["settling_time_2_percent"] <= 10 * summary["step_size"]
     assert everyday["peak_estimate"] <= 15.0
     assert everyday["final_disturbance_error"] <= 1e-7
+
+
+@C_COMPILER
+def test_native_fmus_give_the_same_signals_in_less_time(summary):
+    """Without noise; the times are processor times, and include loading the FMUs."""
+    for run in summary["native"].values():
+        assert run["difference"] <= 1e-6
+        assert run["native_seconds"] <= run["python_seconds"] / 3
+
+
+def test_where_nothing_compiles_native_fmus_the_demo_says_so_in_one_line(flexible_joint, tmp_path, monkeypatch):
+    monkeypatch.setattr(compilers.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(compilers.shutil, "which", lambda _: None)
+    summary = run_demo(
+        flexible_joint.system, tmp_path / "r", native=lambda: build_native_demo(tmp_path / "native"), stop_time=0.1
+    )
+    line = _builds_compared(summary["native"])
+    assert line.startswith("  not compared with native FMUs: --platforms ")
+    assert "received none; likely cause: the extra is not installed: pip install 'ndob-fmu[native]'" in line
+    assert len(line.splitlines()) == 1
+    assert [path for path in (tmp_path / "native").rglob("*") if path.is_file()] == []
 
 
 def test_the_summary_tells_how_it_was_made(summary):

@@ -278,6 +278,22 @@ def test_the_same_fmu_has_the_same_bytes_in_another_folder(built, fmi, tmp_path)
     assert again.read_bytes() == built("Counter", fmi).read_bytes()
 
 
+def test_an_fmu_that_is_up_to_date_can_be_kept_without_a_compiler(built, fmi, monkeypatch):
+    fmu, compiled = built("Counter", fmi), []
+    known = fmu.read_bytes()
+    monkeypatch.setattr("ndob_fmu.native.package.binary", lambda *_: compiled.append("") or b"")
+    package(fmu, *COMPONENTS["Counter"], {}, platforms=["linux64"], fmi=fmi, keep=True)
+    assert (fmu.read_bytes(), compiled) == (known, [])
+    changed = (COMPONENTS["Counter"][0], ComponentCode(COUNTER_CODE.text + "/* new */"))
+    other = fmu.with_name("Other.fmu")
+    for contents, platforms in ((changed, ["linux64"]), (COMPONENTS["Counter"], ["linux64", "win64"])):
+        other.write_bytes(known)
+        package(other, *contents, {}, platforms=platforms, fmi=fmi, keep=True)
+        assert compiled
+        assert other.read_bytes() != known
+        compiled.clear()
+
+
 def test_a_platform_without_a_compiler_is_refused_and_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(compilers.importlib.util, "find_spec", lambda _: None)
     monkeypatch.setattr(compilers.shutil, "which", lambda name: name if name in ("cc", "gcc") else None)
