@@ -20,6 +20,12 @@ def add_study_commands(commands: Commands) -> None:
         "study", type=Path, metavar="STUDY.toml", help="description of the study; docs/studies.md explains it"
     )
     parser.add_argument(
+        "--system",
+        type=Path,
+        metavar="PATH",
+        help="run this .ssp or .fmu in place of the study's, for example the same system with native FMUs",
+    )
+    parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the results (default: results/NAME OF STUDY)"
     )
     parser.add_argument(
@@ -43,7 +49,7 @@ def _sweep(options: argparse.Namespace) -> int:
         from ndob_fmu.study.figures import draw_figures
         from ndob_fmu.study.summary import as_text, summarize
 
-    study = read_study(options.study)
+    study = read_study(options.study, options.system)
     folder = options.out or Path("results", study.name)
     try:
         tally = sweep(

@@ -42,6 +42,7 @@ class Study:
     measures: the numbers that are kept of each run, by name.
     record: signals whose values over time are kept too.
     units: by name, of points, measures and record that have one.
+    fmus: what made the FMU of each component, which tells native FMUs from those in Python.
     files: the content of the system and of the input file, by path. Workers on other machines receive it.
     """
 
@@ -53,6 +54,7 @@ class Study:
     measures: Mapping[str, Measure]
     record: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    fmus: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -60,6 +62,7 @@ class Study:
         return {
             "name": self.name,
             "system": Path(self.system).name,
+            "fmus": dict(self.fmus),
             "runs": len(self.points),
             "simulation": self._settings(),
             "fixed": dict(self.fixed),
@@ -85,7 +88,7 @@ class Study:
         """A digest of everything that the results depend on, except the versions of the software."""
         tables = [[table.names, table.rows] for table in self.points.tables]
         contents = [hashlib.sha256(content).hexdigest() for content in self.files.values()]
-        settings = {**self.to_dict(), "name": None, "system": None, "varied": tables, "files": contents}
+        settings = {**self.to_dict(), "name": None, "system": None, "fmus": None, "varied": tables, "files": contents}
         settings["simulation"] = {**settings["simulation"], "input_file": None}
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ndob_fmu.cosim import System, Value, open_system
+from ndob_fmu.cosim import FmuComponent, System, Value, open_system
 from ndob_fmu.cosim.master.schemes import SCHEMES
 from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.study.checks import check_coupling, check_names, check_times, outputs, resolver, unit_of_name
@@ -22,8 +22,10 @@ from ndob_fmu.study.toml_file import TomlTable, read_toml
 _SECTIONS = ("system", "seed", "record", "simulation", "fixed", *KINDS, "measures")
 
 
-def read_study(path: str | Path) -> Study:
+def read_study(path: str | Path, system: str | Path | None = None) -> Study:
     """Return the study that a TOML file describes; docs/studies.md says how.
+
+    system: the path of an .ssp or .fmu in place of that of the file, as the same system with native FMUs
 
     Raises UsageError for a file that cannot be read or says what cannot be, CouplingError for names that the system
     does not have, and what opening the system raises.
@@ -31,7 +33,8 @@ def read_study(path: str | Path) -> Study:
     path = Path(path)
     file = read_toml(path)
     file.only(_SECTIONS)
-    system = path.parent / str(file.path("system", ..., '"path of an .ssp or .fmu"'))
+    of_file = path.parent / str(file.path("system", ..., '"path of an .ssp or .fmu"'))
+    system = of_file if system is None else Path(system)
     simulation = _simulation(file.section("simulation"), path.parent)
     seed = file.count("seed", 1, 0, 2**63 - 1)
     fixed = dict(_fixed(file.section("fixed")))
@@ -48,13 +51,14 @@ def read_study(path: str | Path) -> Study:
         _check_begin(file, measures, last)
         check_coupling(file, opened, simulation, points, fixed)
         units = _units(opened, points, measures, record)
+        fmus = {name: fmu.generation_tool for name, fmu in opened.components.items() if isinstance(fmu, FmuComponent)}
     for step in steps:
         with open_system(system, step):  # whether the components' own steps are multiples of it
             pass
     _check_columns(file, points, measures, record)
     contents = [str(system), *([simulation.input_file] if simulation.input_file else [])]
     files = {name: _content(name) for name in contents}
-    return Study(path.stem, str(system), simulation, fixed, points, measures, record, units, files)
+    return Study(path.stem, str(system), simulation, fixed, points, measures, record, units, fmus, files)
 
 
 def _simulation(section: TomlTable, folder: Path) -> Simulation:

@@ -14,6 +14,8 @@ from fmpy.ssp.simulation import simulate_ssp
 from fmus.tools import regression
 from ndob_fmu.cli import main
 from ndob_fmu.cosim import check_ssp, open_ssp, simulate
+from ndob_fmu.study import read_study
+from ndob_fmu.study.session import Session
 from tests.cosim.test_shipped_systems import PORTABLE
 from tests.helpers.needs import ECOS, FRONT
 from tests.importers.importer_runs import TOLERANCE, difference, in_ecos, in_python
@@ -137,3 +139,32 @@ def test_systems_are_refused_in_fmi_3_in_one_line(capsys, tmp_path):
     assert capsys.readouterr().err == (
         "ndob-fmu: build --systems: expected --fmi 2, whose FMUs are coupled, received --fmi 3\n"
     )
+
+
+STUDY = """
+system = "nowhere.ssp"
+[simulation]
+stop_time = 0.2
+[fixed]
+observer.method = 2
+[grid]
+plant.disturbance.amplitude = [1.0, 2.0]
+[measures]
+estimate = { of = "observer.load_torque_hat", take = "final" }
+"""
+
+
+def test_a_study_runs_on_the_system_that_is_given_and_its_plan_says_what_made_the_fmus(native, shipped, tmp_path):
+    (tmp_path / "study.toml").write_text(STUDY, "utf-8")
+    found = {}
+    for name, folder in (("python", shipped.systems), ("native", native / "ssp")):
+        study = read_study(tmp_path / "study.toml", folder / "open_loop.ssp")
+        session = Session(study, {study.system: folder / "open_loop.ssp"})
+        found[name] = study, [session.run(run)["estimate"] for run in range(2)]
+        session.close()
+    np.testing.assert_allclose(found["native"][1], found["python"][1], rtol=EQUAL_WITHOUT_NOISE)
+    made = {name: study.to_dict()["fmus"] for name, (study, _) in found.items()}
+    assert made["native"].keys() == made["python"].keys() == {"plant", "observer"}
+    assert all("with PythonFMU" in tool for tool in made["python"].values())
+    assert all("PythonFMU" not in tool and tool.startswith("ndob-fmu ") for tool in made["native"].values())
+    assert found["native"][0].digest != found["python"][0].digest

@@ -70,6 +70,11 @@ class FmuComponent:
         return self._description.model_identifier
 
     @property
+    def generation_tool(self) -> str:
+        """What made the FMU, as its model description says; empty where it does not say."""
+        return self._description.generation_tool
+
+    @property
     def experiment(self) -> DefaultExperiment:
         """The FMU's default experiment."""
         return self._description.experiment

@@ -19,13 +19,18 @@ from ndob_fmu.support.units import BASE_UNITS, BaseUnit
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """The part of ``modelDescription.xml`` that the master uses; references: value reference of each variable."""
+    """The part of ``modelDescription.xml`` that the master uses.
+
+    references: value reference of each variable.
+    generation_tool: what made the FMU; empty where it does not say.
+    """
 
     guid: str
     model_identifier: str
     variables: tuple[Variable, ...]
     references: dict[str, int]
     experiment: DefaultExperiment
+    generation_tool: str
 
 
 def read_description(path: Path) -> ModelDescription:
@@ -56,6 +61,7 @@ def read_description(path: Path) -> ModelDescription:
         _variables(model, path),
         {entry.name: entry.valueReference for entry in model.modelVariables},
         _experiment(model.defaultExperiment, path),
+        model.generationTool or "",
     )
 
 
