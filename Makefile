@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test build build-native lint bench docs regression exits soak importers tools versions windows clean
+.PHONY: demo test build build-native lint bench docs regression exits soak importers tools versions native-all windows clean
 
 demo: .venv/installed
 	$(BIN)/ndob-fmu demo
@@ -62,6 +62,10 @@ tools: .venv/installed-test
 
 versions: .venv/installed-test
 	$(BIN)/python -m tests.versions
+
+native-all: .venv/installed-test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade --target $(CURDIR)/build/zig ziglang
+	PYTHONPATH=$(CURDIR)/build/zig ZIG_GLOBAL_CACHE_DIR=$(CURDIR)/build/zig-cache $(BIN)/python -m pytest tests/native/with_zig.py
 
 windows: .venv/installed-test build
 	$(BIN)/python -m tests.windows.machine
