@@ -11,9 +11,9 @@ from pythonfmu.enums import Fmi2Status
 
 from fmus.slave_base import Slave
 from ndob_fmu.interface.model_variables import METHODS, observer_variables
-from ndob_fmu.interface.told_observer import for_disturbances, nominal, told_observer
+from ndob_fmu.interface.told_observer import for_disturbances, told_observer
 from ndob_fmu.runtime.base_errors import IntegrationError
-from ndob_fmu.runtime.design.lumping import lumped, lumped_bound
+from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_nominal
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.equations import Equations, Vector
@@ -116,7 +116,7 @@ class ObserverSlave(Slave):
             alpha=self.value("alpha"),
             noise_std=self._for_outputs("noise_std"),
             disturbance_bound=lumped_bound(self.equations, self._for_disturbances("disturbance_bound")),
-            disturbance_nominal=nominal(self.equations, self.value),
+            disturbance_nominal=lumped_nominal(self.equations, self._for_disturbances("disturbance_nominal")),
         )
 
     def _sampled(self) -> SampledObserver:

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from ndob_fmu.interface.model_variables import for_each_disturbance
-from ndob_fmu.runtime.base_errors import DesignError
-from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_rate
+from ndob_fmu.runtime.design.lumping import lumped, lumped_bound, lumped_nominal, lumped_rate
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.separability import inseparable_offsets, inseparable_parameters
 from ndob_fmu.runtime.equations import Equations, Vector
@@ -39,7 +38,7 @@ def told_observer(equations: Equations, value: Value, warn: Warn) -> SampledObse
         **sensors,
         order=order,
         disturbance_bound=lumped_bound(equations, bound),
-        disturbance_nominal=nominal(equations, value),
+        disturbance_nominal=lumped_nominal(equations, for_disturbances(equations, value, "disturbance_nominal")),
         disturbance_rate=lumped_rate(equations, bound, rate, order=order),
         x_std=x_std,
         parameter_std=parameter_std,
@@ -50,16 +49,6 @@ def told_observer(equations: Equations, value: Value, warn: Warn) -> SampledObse
         pi=value("pi_end"),
     )
     return sampled_observer(plant, parameters, settings, x_hat)
-
-
-def nominal(equations: Equations, value: Value) -> list[float]:
-    """Return the nominal value of each unknown input. Raises DesignError where a channel cannot have any."""
-    told = for_disturbances(equations, value, "disturbance_nominal")
-    if equations.channel is None:
-        return told
-    if any(told):
-        raise DesignError.report("disturbance_nominal", expected="0 with a channel", received=f"{told[0]:g}")
-    return [0.0] * len(equations.channel.bound)
 
 
 def for_disturbances(equations: Equations, value: Value, name: str) -> list[float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 from pathlib import Path
 
@@ -13,14 +13,20 @@ CONTINUED = ("derivatives", "output", "linearisation", "input_slopes", "sensitiv
 _SOURCE = Path(__file__).parent / "component" / "continued.c"
 
 
-def continued_text(eq: Equations) -> str:
-    """Return C text behind which `continued_…` stand beside the functions `call_…`; none for a plant without ranges."""
+def continued_text(eq: Equations, calls: Mapping[str, str]) -> str:
+    """Return C text that defines `continued_…` for each function of CONTINUED; none for a plant without ranges.
+
+    calls: the names in C of the functions that are continued
+    """
     if not eq.ranges:
         return ""
     sizes = {"STATES": eq.states, "INPUTS": eq.inputs, "OUTPUTS": eq.outputs, "DISTURBANCES": eq.disturbances}
     listed = ", ".join(f"CONTINUED_{name} = {len(names)}" for name, names in sizes.items())
     limits = [_limits("states", eq, eq.states), _limits("inputs", eq, eq.inputs)]
-    return "\n".join([f"enum {{ {listed} }};", *limits, _SOURCE.read_text("utf-8")])
+    text = _SOURCE.read_text("utf-8")
+    for name in calls:
+        text = text.replace(f"call_{name}(", f"{calls[name]}(")
+    return "\n".join([f"enum {{ {listed} }};", *limits, text])
 
 
 def _limits(name: str, eq: Equations, names: Sequence[str]) -> str:

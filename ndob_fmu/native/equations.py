@@ -45,10 +45,11 @@ def function_texts(model: Model, eq: Equations, names: Sequence[str], more: Sequ
     return [part("equations.c"), RUNTIME, emit_c(model, [*names, *more]), *map(thunk_of, names)]
 
 
-def equations_text(eq: Equations, functions: Mapping[str, str]) -> str:
-    """Return `set_equations`, which fills the structure `Equations`.
+def equations_text(eq: Equations, functions: Mapping[str, str], name: str = "set_equations") -> str:
+    """Return a function of C that fills the structure `Equations`.
 
     functions: the fields that are functions, with their names in C
+    name: of the function
     """
     lines = [
         "memset(equations, 0, sizeof *equations);",
@@ -65,12 +66,18 @@ def equations_text(eq: Equations, functions: Mapping[str, str]) -> str:
         f"equations->experiment.step_size = {number(eq.experiment.step_size)};",
         f"equations->experiment.stop_time = {number(eq.experiment.stop_time)};",
         *_ranges(eq),
-        *(f"equations->{field}.call = {name};" for field, name in functions.items() if field != "matrices"),
+        *_channel(eq),
+        *(f"equations->{field}.call = {call};" for field, call in functions.items() if field != "matrices"),
     ]
     if "matrices" in functions:
         lines += ["equations->matrices.some = true;", f"equations->matrices.value.call = {functions['matrices']};"]
     body = "\n".join(f"    {line}" for line in lines)
-    return f"static void set_equations(Equations *equations) {{\n{body}\n}}\n"
+    return f"static void {name}(Equations *equations) {{\n{body}\n}}\n"
+
+
+def channel_size(eq: Equations) -> str:
+    """Return C text that defines CHANNEL, the number of inputs that are lumped; 0 without a channel."""
+    return f"#define CHANNEL {0 if eq.channel is None else len(eq.channel.bound)}\n"
 
 
 def _names(field: str, names: Sequence[str]) -> list[str]:
@@ -84,10 +91,10 @@ def _names(field: str, names: Sequence[str]) -> list[str]:
 
 
 def _vector(field: str, values: Sequence[float]) -> list[str]:
-    listed = ", ".join(number(float(value)) for value in values) or "0.0"
+    listed, name = ", ".join(number(float(value)) for value in values) or "0.0", field.replace(".", "_")
     return [
-        f"static const double {field}[] = {{{listed}}};",
-        f"equations->{field} = nd_view_of({len(values)}, {field});",
+        f"static const double {name}[] = {{{listed}}};",
+        f"equations->{field} = nd_view_of({len(values)}, {name});",
     ]
 
 
@@ -100,4 +107,14 @@ def _ranges(eq: Equations) -> list[str]:
         f"static const char *const ranged[] = {{{names}}};",
         f"static p2_double_double ranges[] = {{{pairs}}};",
         f"equations->ranges.n = {len(eq.ranges)}, equations->ranges.names = ranged, equations->ranges.p = ranges;",
+    ]
+
+
+def _channel(eq: Equations) -> list[str]:
+    if eq.channel is None:
+        return []
+    return [
+        "equations->channel.some = true;",
+        *_vector("channel.value.bound", eq.channel.bound),
+        f"equations->channel.value.rate = {number(eq.channel.rate)};",
     ]

@@ -14,21 +14,22 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.errors import ModelError
 from ndob_fmu.interface.model_variables import for_each_disturbance, observer_variables
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.native import paper
 from ndob_fmu.native.continued import CONTINUED, continued_text
-from ndob_fmu.native.equations import USED_BY_PRINTED, equations_text, function_texts
+from ndob_fmu.native.equations import USED_BY_PRINTED, channel_size, equations_text, function_texts
 from ndob_fmu.native.frozen import frozen_step_text
 from ndob_fmu.native.join import joined
 from ndob_fmu.native.runtime_code import part, places, runtime_texts
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk
 from ndob_fmu.native.variable_table import number, quoted
+from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations
 from ndob_fmu.runtime.generated_steps import ObserverStep
+from ndob_fmu.runtime.step.channel_observer import read_out
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
 
@@ -46,9 +47,16 @@ _TRANSLATED = {
     f"{_STEP}.tuned": ("tune",),
     f"{_STEP}.converged_step": ("converged_step",),
     f"{_DESIGN}.step_designs": ("StepDesigns.at",),
+    **USED_BY_PRINTED,
+}
+# What the component does around its observers.
+_AROUND = {
     f"{_DESIGN}.separability": ("inseparable_offsets", "inseparable_parameters"),
     f"{_DESIGN}.pace": ("pace_of",),
-    **USED_BY_PRINTED,
+    f"{_DESIGN}.lumping": ("lumped_bound", "lumped_rate", "lumped_nominal"),
+    f"{_STEP}.settings": ("check_settings",),
+    f"{_STEP}.channel_observer": ("ChannelReading.read",),
+    f"{_STEP}.fixed_lag": ("empty_lag", "later"),
 }
 _PER_DISTURBANCE = {
     "AT_BOUND": "disturbance_bound",
@@ -69,6 +77,11 @@ _PRINTED = (
 )
 
 
+# What is lumped in a plant with a channel, and what is asked of the plant as the model has it.
+_LUMPED = ("derivatives", "linearisation", "input_slopes", "sensitivity")
+_OF_PLANT = ("linearisation", "input_slopes")
+
+
 def sampled_observer_text(model: Model) -> list[str]:
     """Return the C texts of method 2 for a model, one to come behind the other.
 
@@ -83,26 +96,20 @@ def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list
 
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:
-    return [part("faults.c"), *_printed(model, eq), part("estimate.c"), part("sampled.c")]
+    return [channel_size(eq), part("faults.c"), *_printed(model, lumped(eq), eq), part("estimate.c"), part("sampled.c")]
 
 
 def observer_code(model: Model) -> ComponentCode:
     """Return the component of the model's observer, of both methods.
 
-    Raises ModelError for an expression that has no C form, and for a model whose observer is not built in C.
+    Raises ModelError for an expression that has no C form.
     """
     eq = compile_model(model)
     variables = observer_variables(eq)
-    if eq.channel is not None:
-        raise ModelError.report(
-            model.name,
-            expected="disturbances that act without a channel",
-            received="a channel, whose observer is not built in C",
-            likely="build with --target python, or write the plant with its own equations (dynamics=)",
-        )
     own = [places(variables), _sizes(model, eq), _first_places(eq, variables)]
-    texts = [*_own_texts(model, eq), part("paper.c"), *own, part("call.c"), part("observer.c")]
-    runtime = _runtime({**_TRANSLATED, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
+    reading = [part("channel.c")] if eq.channel else []
+    texts = [*_own_texts(model, eq), part("paper.c"), *own, part("call.c"), *reading, part("observer.c")]
+    runtime = _runtime({**_TRANSLATED, **_AROUND, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
     return ComponentCode(joined([*runtime, *texts], "start show step possible"))
 
 
@@ -114,6 +121,7 @@ def _sizes(model: Model, eq: Equations) -> str:
         "INPUTS": len(eq.inputs),
         "OUTPUTS": len(eq.outputs),
         "DISTURBANCES": len(eq.disturbances),
+        "LUMPED": model.vector_field.G_d.cols,
         "PARAMETERS": len(eq.parameters),
         "FEEDTHROUGH": int(any(eq.feedthrough)),
         "NUMBERS": numbers,
@@ -155,6 +163,7 @@ def _first_places(eq: Equations, variables: Sequence[Variable]) -> str:
 
 def _numbers(model: Model, eq: Equations) -> int:
     """Return how many numbers a state has at most: with everything estimated, delays, offsets and a lag."""
+    plant = lumped(eq)
     everything: dict[str, Any] = {
         "order": HIGHEST_ORDER,
         "lag": 1.0,
@@ -163,7 +172,9 @@ def _numbers(model: Model, eq: Equations) -> int:
         "parameter_std": [1.0] * len(eq.parameters),
         "estimated": [True] * len(eq.parameters),
     }
-    observer = sampled_observer(eq, model.parameter_values(), observer_settings(eq, **everything), eq.xhat0)
+    p = model.parameter_values()
+    inner = sampled_observer(plant, p, observer_settings(plant, **everything), eq.xhat0)
+    observer = read_out(eq, p, inner, disturbance_bound=eq.disturbance_bound, lag=everything["lag"])
     return _count(observer.init(eq.xhat0))
 
 
@@ -176,19 +187,34 @@ def _count(value: Any) -> int:
     return sum(_count(getattr(value, one.name)) for one in fields(value)) if is_dataclass(value) else 1
 
 
-def _printed(model: Model, eq: Equations) -> list[str]:
-    """Return the printed functions, their thunks, and `set_equations`."""
+def _printed(model: Model, eq: Equations, plant: Equations) -> list[str]:
+    """Return the printed functions, their thunks, and `set_equations`; with a channel also `set_plant`.
+
+    eq: with the inputs that the observer estimates
+    plant: as the model has it
+    """
     n, m, p, q = len(eq.states), len(eq.inputs), len(eq.outputs), len(eq.disturbances)
-    names = [*_PRINTED, *(("matrices",) if eq.matrices else ())]
-    texts = function_texts(model, eq, names, ["observer_step"])
+    calls = {name: f"call_{name}" for name in [*_PRINTED, *(("matrices",) if eq.matrices else ())]}
+    of_plant = {}
+    if plant.channel is not None:
+        calls |= {name: f"call_lumped_{name}" for name in _LUMPED}
+        of_plant = {**{name: f"call_{name}" for name in _OF_PLANT}, "channel.value.direction": "call_direction"}
+    names = [call.removeprefix("call_") for call in dict.fromkeys([*calls.values(), *of_plant.values()])]
+    texts = function_texts(model, plant, names, ["observer_step"])
     head = next(line for text in texts for line in text.splitlines() if line.startswith("static int observer_step("))
     outputs = n + 5 * q + 2 * p + 2
     gain = re.findall(r"_gain_(\w+)", head)
     of_step = dict(zip(ObserverStep._fields, (n + 3 * q, n + 3 * q, q, p, m, p, p, outputs), strict=True))
     functions = {
-        **{name: f"call_{name}" for name in names if name != "observer_constants"},
-        **{name: f"{'continued' if eq.ranges else 'call'}_{name}" for name in CONTINUED},
+        **{name: call for name, call in calls.items() if name != "observer_constants"},
+        **({name: f"continued_{name}" for name in CONTINUED} if eq.ranges else {}),
         **{f"steps.{name}": f"call_{name}" for name in ("observer_constants", "observer_step")},
     }
-    steps = [converged_step_thunk(gain, of_step), frozen_step_text(gain, of_step, m, p)]
-    return [*texts, *steps, continued_text(eq), equations_text(eq, functions)]
+    return [
+        *texts,
+        converged_step_thunk(gain, of_step),
+        frozen_step_text(gain, of_step, m, p),
+        continued_text(eq, calls),
+        equations_text(eq, functions),
+        equations_text(plant, of_plant or {name: f"call_{name}" for name in _OF_PLANT}, "set_plant"),
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
-from ndob_fmu.native.equations import USED_BY_PRINTED, equations_text, function_texts
+from ndob_fmu.native.equations import USED_BY_PRINTED, channel_size, equations_text, function_texts
 from ndob_fmu.native.runtime_code import part, runtime_texts
 
 # What a component of both methods has to translate, copy and print besides that of method 2.
@@ -31,5 +31,5 @@ def paper_observer_text(model: Model) -> list[str]:
     eq = compile_model(model)
     own = function_texts(model, eq, PRINTED)
     filled = equations_text(eq, {name: f"call_{name}" for name in PRINTED})
-    around = [part("faults.c"), *own, filled, part("estimate.c"), part("paper.c")]
+    around = [channel_size(eq), part("faults.c"), *own, filled, part("estimate.c"), part("paper.c")]
     return [*runtime_texts(TRANSLATED, copied=COPIED), *around]

@@ -11,11 +11,9 @@ import pytest
 
 from ndob_fmu.cli import main
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.errors import ModelError
 from ndob_fmu.fmu.build import build_part
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.native.build import build_native
-from ndob_fmu.native.observer import observer_code
 from tests.fuzz.library import Library
 from tests.fuzz.walk import Walk
 from tests.helpers.checkers import findings
@@ -23,9 +21,9 @@ from tests.helpers.needs import FRONT
 
 pytestmark = FRONT
 ROOT = Path(__file__).parents[2]
-JOINT, ARM, TANK = (
+JOINT, ARM, TANK, TOOL = (
     "flexible_joint",
-    *(str(ROOT / "examples" / f"{name}.py") for name in ("two_link_arm", "stirred_tank")),
+    *(str(ROOT / "examples" / f"{name}.py") for name in ("two_link_arm", "stirred_tank", "tool_on_arm")),
 )
 STEPS = 600
 # Of a signal's range: gains come from another linear algebra. Without noise they are at the edge of the numbers.
@@ -44,6 +42,9 @@ CASES = {
     "method 1": (JOINT, {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.2}, EQUAL),
     "two disturbances": (ARM, {}, EQUAL),
     "ranges": (TANK, {}, EQUAL),
+    "a channel": (TOOL, {}, EQUAL),
+    "a channel, lag": (TOOL, {"lag": 0.05, "disturbance_order": 1}, EQUAL),
+    "a channel, method 1": (TOOL, {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.2}, EQUAL),
 }
 
 
@@ -124,18 +125,21 @@ def test_the_model_descriptions_are_valid(built, fmi):
         assert findings(fmu) == []
 
 
-def test_a_state_goes_on_as_it_did_in_another_instance_and_from_bytes(built):
-    library = Library(Path(fmpy.extract(str(built(JOINT)[3]))))
+@pytest.mark.parametrize("name", [JOINT, TOOL])
+def test_a_state_goes_on_as_it_did_in_another_instance_and_from_bytes(built, name):
+    library = Library(Path(fmpy.extract(str(built(name)[3]))))
+    lag = next(variable.reference for variable in library.variables if variable.name == "lag")
     fmu = fmpy.instantiate_fmu(library.folder, fmpy.read_model_description(str(library.folder)))
     other = fmpy.instantiate_fmu(library.folder, fmpy.read_model_description(str(library.folder)))
     inputs, outputs = library.references("Real", "input"), library.references("Real", "output")
 
     def step(instance, k):
-        instance.setReal(inputs, [0.1, 1.0 + 0.01 * k, 1.0 - 0.01 * k])
+        instance.setReal(inputs, [0.1 + 0.01 * i + 0.001 * (i + 1) * k for i in range(len(inputs))])
         instance.doStep(k * 1e-3, 1e-3)
         return instance.getReal(outputs)
 
     for each in (fmu, other):
+        each.setReal([lag], [0.02])
         each.setupExperiment(startTime=0.0)
         each.enterInitializationMode()
         each.exitInitializationMode()
@@ -153,16 +157,37 @@ def test_a_state_goes_on_as_it_did_in_another_instance_and_from_bytes(built):
 
 
 def test_random_legal_and_illegal_calls_have_the_statuses_of_fmi(built, components):
-    folders = [Path(fmpy.extract(str(fmu))) for fmu in (*built(JOINT)[2:], components["Encoder"])]
+    fmus = (*built(JOINT)[2:], built(TOOL)[3], components["Encoder"])
+    folders = [Path(fmpy.extract(str(fmu))) for fmu in fmus]
     walk = Walk([Library(folder) for folder in folders], Random(2), lambda _: None)
     walk.wander(4000)
     walk.close()
     assert walk.made >= 4000
 
 
-def test_an_observer_with_a_channel_is_refused_in_one_line():
-    with pytest.raises(ModelError, match="build with --target python"):
-        observer_code(load_model(str(ROOT / "examples" / "tool_on_arm.py")))
+REFUSED = [
+    (JOINT, {"disturbance_order": 0, "disturbance_nominal": 0.5}, "and 0 with disturbance_order 0, received 0.5"),
+    (ARM, {"method": 1}, "the paper's form of"),
+    (TOOL, {"disturbance_nominal": 0.5}, "expected 0 with a channel, received 0.5"),
+]
+
+
+@pytest.mark.parametrize(("name", "values", "why"), REFUSED)
+def test_settings_that_do_not_fit_are_refused_in_the_words_of_the_python_fmu(built, name, values, why):
+    answers = []
+    for fmu in (built(name)[1], built(name)[3]):
+        library = Library(Path(fmpy.extract(str(fmu))))
+        handle = library.new()
+        for variable in library.variables:
+            if variable.name in values:
+                library.set(handle, [variable.reference], [values[variable.name]], variable.type)
+        library.setup(handle, 0.0)
+        library.EnterInitializationMode(handle)
+        answers.append((library.ExitInitializationMode(handle), [text for _, _, text in library.said]))
+        library.FreeInstance(handle)
+    assert answers[1] == answers[0]
+    assert answers[0][0] == 3
+    assert why in answers[0][1][0]
 
 
 def test_the_command_builds_native_fmus_and_says_what_fits_which_target(tmp_path, capsys):

@@ -1,4 +1,5 @@
-/* An estimate of either method as the outputs of the observer, in their order. */
+/* An estimate of either method as the outputs of the observer, in their order. Where a disturbance is yet to be read out
+ * of a channel, x at the sample follows them. */
 #include "translated.h"
 
 static double *write_estimate(double *to, const Estimate *x) {
@@ -7,7 +8,7 @@ static double *write_estimate(double *to, const Estimate *x) {
     for (size_t i = 0; i < sizeof parts / sizeof *parts; i++) to = nd_write(to, parts[i]);
     *to++ = x->valid ? 1.0 : 0.0;
     *to++ = x->consistency;
-    return to;
+    return CHANNEL ? nd_write(to, x->x_at_sample) : to;
 }
 
 /* Write an estimate; false, with an error, where a number in it is not finite. */

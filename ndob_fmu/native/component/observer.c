@@ -5,6 +5,8 @@
 #include "fmu.h"
 #include "translated.h"
 
+enum { SHOWN = STATES + 5 * DISTURBANCES + 2 * OUTPUTS + 2 };
+
 typedef struct {
     double count; /* of the numbers that are used, which the settings determine; the others are 0 */
     double numbers[NUMBERS];
@@ -14,8 +16,15 @@ typedef struct {
     bool is_paper; /* method 1 */
     Paper paper;
     Sampled observer;
+    Equations plant; /* as the model has it: without lumped inputs, and not continued outside its ranges */
+    double bound[LUMPED], rate[LUMPED], nominal[LUMPED];
     double estimated[PARAMETERS + 1];
-    double outputs[STATES + 5 * DISTURBANCES + 2 * OUTPUTS + 2];
+    double outputs[2 * STATES + 5 * LUMPED + 2 * OUTPUTS + 2]; /* and with a channel x at the sample */
+#if CHANNEL
+    Channelled channel;
+    double before[NUMBERS];
+#endif
+    size_t count; /* of the numbers of the observer's state */
     bool has_stepped, has_left[STATES + 1];
     double memory[MEMORY / sizeof(double)];
 } Core;
@@ -53,7 +62,7 @@ static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
     for (int k = 0; !self->scratch.error && k < nd_len(found); k++) {
         const char *name = self->equations.outputs.p[(int)nd_at(found, k)];
         char line[MESSAGE_SIZE] = "", disturbances[MESSAGE_SIZE] = "";
-        join(disturbances, sizeof disturbances, self->equations.disturbances.p, DISTURBANCES, " or ");
+        join(disturbances, sizeof disturbances, core->plant.disturbances.p, DISTURBANCES, " or ");
         snprintf(line, sizeof line,
                  "%s_bias_std: in the outputs a constant offset of %s looks like a constant %.300s or another offset; the "
                  "samples cannot tell them apart",
@@ -81,7 +90,7 @@ static void choose_estimated(const Call *call, Core *core, nd x_hat) {
         const char *name = fmu_parameter_names[i];
         char line[MESSAGE_SIZE] = "", disturbances[MESSAGE_SIZE] = "";
         core->estimated[i] = 0.0;
-        join(disturbances, sizeof disturbances, self->equations.disturbances.p, DISTURBANCES, " or ");
+        join(disturbances, sizeof disturbances, core->plant.disturbances.p, DISTURBANCES, " or ");
         snprintf(line, sizeof line,
                  "estimate_parameters: %s is not estimated, because a wrong one has the effect of a %.300s; %s_std widens "
                  "the error bars only",
@@ -96,11 +105,12 @@ static void warn_of_pace(const Call *call, Core *core, double H) {
     char line[MESSAGE_SIZE];
     if (setjmp(self->full)) return;
     self->scratch.used = 0;
-    Pace pace = pace_pace_of(&self->scratch, &self->equations, self->parameters, values_at(call, AT_HAT_START, STATES),
-                             self->settings.disturbance_bound, self->settings.disturbance_rate, self->settings.order);
+    Pace pace = pace_pace_of(&self->scratch, &core->plant, self->parameters, values_at(call, AT_HAT_START, STATES),
+                             values_at(call, AT_BOUND, DISTURBANCES), values_at(call, AT_RATE, DISTURBANCES),
+                             self->settings.order);
     for (int i = 0; !self->scratch.error && i < DISTURBANCES; i++) {
         double omega = nd_at(pace.disturbance, i);
-        const char *name = self->equations.disturbances.p[i];
+        const char *name = core->plant.disturbances.p[i];
         if (pace.fastest > 0.0 && omega > 100.0 * pace.fastest) {
             snprintf(line, sizeof line,
                      "disturbance_rate lets %s change at %.3g rad/s, %.0f times the plant's fastest mode (%.3g 1/s), so "
@@ -160,9 +170,9 @@ static void take_settings(const Call *call, Core *core) {
     settings->sensors.noise_std = values_at(call, AT_NOISE_STD, OUTPUTS);
     settings->sensors.delay = values_at(call, AT_DELAY, OUTPUTS);
     settings->sensors.bias_std = values_at(call, AT_BIAS_STD, OUTPUTS);
-    settings->disturbance_bound = values_at(call, AT_BOUND, DISTURBANCES);
-    settings->disturbance_nominal = values_at(call, AT_NOMINAL, DISTURBANCES);
-    settings->disturbance_rate = values_at(call, AT_RATE, DISTURBANCES);
+    settings->disturbance_bound = nd_view_of(LUMPED, core->bound);
+    settings->disturbance_nominal = nd_view_of(LUMPED, core->nominal);
+    settings->disturbance_rate = nd_view_of(LUMPED, core->rate);
     settings->x_std = values_at(call, AT_HAT_START_STD, STATES);
     settings->parameter_std = values_at(call, AT_PARAMETER_STD, PARAMETERS);
     settings->state_noise = nd_view_of(STATES, noise_of_states);
@@ -173,28 +183,75 @@ static void take_settings(const Call *call, Core *core) {
     settings->pi = call->values[AT_pi_end];
 }
 
+/* Find bounds, rates and nominal values of what the observers estimate in place of the disturbances. */
+static int lump_disturbances(const Call *call, Core *core, nd_arena *arena) {
+    nd bound = values_at(call, AT_BOUND, DISTURBANCES), rate = values_at(call, AT_RATE, DISTURBANCES);
+    int order = (int)call->values[AT_disturbance_order];
+    nd nominal = lumping_lumped_nominal(arena, &core->plant, values_at(call, AT_NOMINAL, DISTURBANCES));
+    if (arena->error) return arena->error;
+    (void)nd_write(core->nominal, nominal);
+    (void)nd_write(core->bound, lumping_lumped_bound(arena, &core->plant, bound));
+    (void)nd_write(core->rate, lumping_lumped_rate(arena, &core->plant, bound, rate, order));
+    return ND_NONE;
+}
+
 static int check_in_memory(const Call *call, Core *core, nd x_hat) {
     Sampled *self = &core->observer;
     if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    if (lump_disturbances(call, core, &self->scratch)) return self->scratch.error;
     warn_of_offsets(call, core, x_hat);
     if (!self->scratch.error) choose_estimated(call, core, x_hat);
+    if (!self->scratch.error) settings_check_settings(&self->scratch, &self->settings);
     return self->scratch.error;
-}
-
-static bool can_be_used(const Call *call) {
-    for (int i = 0; call->values[AT_disturbance_order] == 0.0 && i < DISTURBANCES; i++)
-        if (call->values[AT_NOMINAL + i] != 0.0) {
-            say(call->instance, ERROR, "disturbance_nominal", "finite numbers, and 0 with disturbance_order 0",
-                "another number", "");
-            return false;
-        }
-    return true;
 }
 
 /* Take over how many numbers of a state are used. Those that never were are left alone: they take no memory so. */
 static void set_count(State *state, size_t count) {
     for (size_t i = count; i < (size_t)state->count; i++) state->numbers[i] = 0.0;
     state->count = (double)count;
+}
+
+#if CHANNEL
+static nd_arena *scratch_of(Core *core) { return core->is_paper ? &core->paper.scratch : &core->observer.scratch; }
+
+static jmp_buf *full_of(Core *core) { return core->is_paper ? &core->paper.full : &core->observer.full; }
+
+static int start_channel(const Call *call, Core *core, double *state) {
+    if (setjmp(*full_of(core))) return SAMPLED_NO_MEMORY;
+    double lag = core->is_paper ? 0.0 : call->values[AT_lag];
+    return channel_start(&core->channel, scratch_of(core), &core->plant, values_at(call, AT_PARAMETERS, PARAMETERS),
+                         values_at(call, AT_BOUND, DISTURBANCES), lag, state);
+}
+
+/* Put the estimate of d in the place of that of w in `core->outputs`; where H > 0, what is remembered goes on by H. */
+static int read_channel(Core *core, double H, double *state) {
+    if (setjmp(*full_of(core))) return SAMPLED_NO_MEMORY;
+    scratch_of(core)->used = 0;
+    nd u = core->is_paper ? paper_state(&core->paper, state).u : given_state(&core->observer, state).u;
+    return channel_read(&core->channel, scratch_of(core), core->outputs, u, H, state + core->count, core->outputs);
+}
+#endif
+
+/* Add what a channel remembers to the `count` numbers of an observer's first state. */
+static bool take_first_state(const Call *call, Core *core, size_t count) {
+    State *state = call->state;
+    core->count = count;
+#if CHANNEL
+    int error = start_channel(call, core, state->numbers + count);
+    if (error) return fail_in(call, core, error, ERROR, "start");
+    count += channel_state_size(&core->channel);
+#endif
+    set_count(state, count);
+    return true;
+}
+
+static int gains_of_paper(const Call *call, Core *core) {
+    Paper *self = &core->paper;
+    if (setjmp(self->full)) return PAPER_NO_MEMORY;
+    if (lump_disturbances(call, core, &self->scratch)) return self->scratch.error;
+    return paper_start(self, call->values[AT_pi_start], call->values[AT_pi_end], call->values[AT_pi_ramp_time],
+                       call->values[AT_alpha], values_at(call, AT_NOISE_STD, OUTPUTS), nd_view_of(LUMPED, core->bound),
+                       nd_view_of(LUMPED, core->nominal));
 }
 
 static bool start_paper(const Call *call, Core *core) {
@@ -204,15 +261,12 @@ static bool start_paper(const Call *call, Core *core) {
     paper_memory(self, core->memory, sizeof core->memory);
     set_equations(&self->equations);
     self->parameters = values_at(call, AT_PARAMETERS, PARAMETERS);
-    int error = paper_start(self, call->values[AT_pi_start], call->values[AT_pi_end], call->values[AT_pi_ramp_time],
-                            call->values[AT_alpha], values_at(call, AT_NOISE_STD, OUTPUTS),
-                            values_at(call, AT_BOUND, DISTURBANCES), values_at(call, AT_NOMINAL, DISTURBANCES));
+    int error = gains_of_paper(call, core);
     if (error) return fail_in(call, core, error, ERROR, "start");
     size_t count = paper_state_size(self);
     if (count > NUMBERS) return fail_in(call, core, PAPER_NO_MEMORY, ERROR, "start");
     paper_first_state(self, values_at(call, AT_HAT_START, STATES), state->numbers);
-    set_count(state, count);
-    return true;
+    return take_first_state(call, core, count);
 }
 
 static bool start(const Call *call, double time) {
@@ -223,8 +277,8 @@ static bool start(const Call *call, double time) {
     memset(core->has_left, 0, sizeof core->has_left);
     core->has_stepped = false;
     core->is_paper = call->values[AT_method] == 1.0;
+    set_plant(&core->plant);
     if (core->is_paper) return start_paper(call, core);
-    if (!can_be_used(call)) return false;
     memset(&core->observer, 0, sizeof core->observer);
     sampled_memory(&core->observer, core->memory, sizeof core->memory);
     take_settings(call, core);
@@ -233,31 +287,49 @@ static bool start(const Call *call, double time) {
     if (error) return fail_in(call, core, error, ERROR, "start");
     if (core->observer.count > NUMBERS) return fail_in(call, core, SAMPLED_NO_MEMORY, ERROR, "start");
     sampled_first_state(&core->observer, state->numbers);
-    set_count(state, core->observer.count);
-    return true;
+    return take_first_state(call, core, core->observer.count);
 }
 
 static bool show(const Call *call) {
     Core *core = call->core;
     double *numbers_now = ((State *)call->state)->numbers;
     nd y = values_at(call, INPUTS, OUTPUTS);
-    int error = core->is_paper ? paper_show(&core->paper, numbers_now, y, call->outputs)
-                               : sampled_show(&core->observer, numbers_now, FEEDTHROUGH ? call->values : NULL, y,
-                                              call->outputs);
-    return !error || fail_in(call, core, error, ERROR, "start");
+    int error = core->is_paper ? paper_show(&core->paper, numbers_now, y, core->outputs)
+                               : sampled_show(&core->observer, numbers_now,
+                                              FEEDTHROUGH && !CHANNEL ? call->values : NULL, y, core->outputs);
+#if CHANNEL
+    if (!error) error = read_channel(core, 0.0, numbers_now);
+#endif
+    if (error) return fail_in(call, core, error, ERROR, "start");
+    memcpy(call->outputs, core->outputs, SHOWN * sizeof(double));
+    return true;
+}
+
+/* Advance the observer; where that fails the state is as before. */
+static int advance(const Call *call, Core *core, double step_size) {
+    double *numbers_now = ((State *)call->state)->numbers;
+    nd u = values_at(call, 0, INPUTS), y = values_at(call, INPUTS, OUTPUTS);
+#if CHANNEL
+    size_t size = (core->count + channel_state_size(&core->channel)) * sizeof(double);
+    memcpy(core->before, numbers_now, size);
+#endif
+    int error = core->is_paper ? paper_step(&core->paper, numbers_now, u, y, step_size, core->outputs)
+                               : sampled_step(&core->observer, numbers_now, u, y, step_size, core->outputs);
+#if CHANNEL
+    if (!error) error = read_channel(core, step_size, numbers_now);
+    if (error) memcpy(numbers_now, core->before, size);
+#endif
+    return error;
 }
 
 static bool step(const Call *call, double time, double step_size) {
     Core *core = call->core;
-    double *numbers_now = ((State *)call->state)->numbers;
     (void)time;
     if (!core->has_stepped && !core->is_paper) warn_of_pace(call, core, step_size);
     core->has_stepped = true;
-    nd u = values_at(call, 0, INPUTS), y = values_at(call, INPUTS, OUTPUTS);
-    int error = core->is_paper ? paper_step(&core->paper, numbers_now, u, y, step_size, core->outputs)
-                               : sampled_step(&core->observer, numbers_now, u, y, step_size, core->outputs);
+    int error = advance(call, core, step_size);
     if (error) return fail_in(call, core, error, DISCARD, "step");
-    memcpy(call->outputs, core->outputs, sizeof core->outputs);
+    memcpy(call->outputs, core->outputs, SHOWN * sizeof(double));
     warn_of_ranges(call, core);
     return true;
 }
@@ -265,9 +337,13 @@ static bool step(const Call *call, double time, double step_size) {
 static bool possible(const Call *call, double begin, double now) {
     Core *core = call->core;
     State *state = call->state;
-    if (core->is_paper)
-        return state->count == (double)paper_state_size(&core->paper)
-               && paper_possible(&core->paper, state->numbers, now - begin);
-    return state->count == (double)core->observer.count
-           && sampled_possible(&core->observer, state->numbers);
+    size_t count = core->count;
+#if CHANNEL
+    size_t read = channel_state_size(&core->channel);
+    if (!finite_numbers(state->numbers + count, read)) return false;
+    count += read;
+#endif
+    if (state->count != (double)count) return false;
+    return core->is_paper ? paper_possible(&core->paper, state->numbers, now - begin)
+                          : sampled_possible(&core->observer, state->numbers);
 }

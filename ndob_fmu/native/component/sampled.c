@@ -130,7 +130,8 @@ static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *giv
         &self->scratch, &common->value, self->prepared.layout.n, given, inputs, H);
     if (self->scratch.error || !done.some) return false;
     (void)write_SampledObserverState(state, &done.value.v0);
-    (void)nd_write(outputs, done.value.v1);
+    double *end = nd_write(outputs, done.value.v1);
+    if (CHANNEL) (void)nd_write(end, nd_view(self->prepared.layout.n, done.value.v2.p));
     return true;
 }
 
@@ -173,7 +174,7 @@ void sampled_first_state(const Sampled *self, double *state) { (void)write_Sampl
 /* Advance a state by H from a sample y, with the input u held; both lie in one piece. `outputs`: the fields of Estimate
  * but for x_at_sample. */
 int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
-    if (step_as_kept(self, state, u, y, H, outputs)) return ND_NONE;
+    if (!CHANNEL && step_as_kept(self, state, u, y, H, outputs)) return ND_NONE; /* which knows no x at the sample */
     if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.equations import Equations, Vector, lumped_names
 
 
@@ -54,3 +55,12 @@ def lumped_rate(equations: Equations, bound: Vector, rate: Vector, *, order: int
     if rate[0] > 0.0 and bound[0] > 0.0:
         of_w = (equations.channel.rate * bound[0] ** (1.0 / r) + rate[0] ** (1.0 / r)) ** r
     return [n_bound * of_w for n_bound in equations.channel.bound]
+
+
+def lumped_nominal(equations: Equations, nominal: Vector) -> Vector:
+    """Return the nominal values of w (k,), which are 0. Raises DesignError where that of d (1,) is another."""
+    if equations.channel is None:
+        return nominal
+    if nominal[0] != 0.0:
+        raise DesignError.report("disturbance_nominal", expected="0 with a channel", received=f"{nominal[0]:g}")
+    return [0.0 for _ in equations.channel.bound]

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
-
-import numpy as np
 
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
-
-ORDERS = tuple(range(HIGHEST_ORDER + 1))
 
 
 @dataclass(frozen=True)
@@ -95,41 +92,27 @@ def observer_settings(
 
 def check_settings(settings: ObserverSettings) -> None:
     """Raise DesignError for settings outside their ranges."""
-
-    def positive(values: Vector) -> bool:
-        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) > 0.0))
-
-    def not_negative(values: Vector) -> bool:
-        return bool(np.all(np.isfinite(values)) and np.all(np.array(values) >= 0.0))
-
-    sensors = settings.sensors
-    _require("disturbance_order", settings.order in ORDERS, "0, 1, 2 or 3", settings.order)
-    _require("alpha", positive([settings.alpha]), "a finite number > 0", settings.alpha)
-    _require("pi_end", positive([settings.pi]), "a finite number > 0", settings.pi)
-    _require(
-        "disturbance_nominal",
-        bool(np.all(np.isfinite(settings.disturbance_nominal)))
-        and (settings.order > 0 or not any(settings.disturbance_nominal)),
-        "finite numbers, and 0 with disturbance_order 0",
-        np.array(settings.disturbance_nominal),
-    )
-    _require("lag", not_negative([settings.lag]), "a finite number ≥ 0", settings.lag)
-    for name, values in (
-        ("disturbance_bound", settings.disturbance_bound),
-        ("hat_start_std", settings.x_std),
-    ):
-        _require(name, positive(values), "finite numbers > 0", np.array(values))
-    for name, values in (
-        ("noise_std", sensors.noise_std),
-        ("delay", sensors.delay),
-        ("bias_std", sensors.bias_std),
-        ("disturbance_rate", settings.disturbance_rate),
-        ("parameter_std", settings.parameter_std),
-        ("state_noise", settings.state_noise),
-    ):
-        _require(name, not_negative(values), "finite numbers ≥ 0", np.array(values))
+    sensors, order, nominal = settings.sensors, settings.order, settings.disturbance_nominal
+    if order < 0 or order > HIGHEST_ORDER:
+        raise DesignError.report("disturbance_order", expected="0, 1, 2 or 3", received=str(order))
+    _require("alpha", "a finite number > 0", [settings.alpha])
+    _require("pi_end", "a finite number > 0", [settings.pi])
+    for value in nominal:
+        if not isfinite(value) or (order == 0 and value != 0.0):
+            expected = "finite numbers, and 0 with disturbance_order 0"
+            raise DesignError.report("disturbance_nominal", expected=expected, received=f"{value:g}")
+    _require("lag", "a finite number ≥ 0", [settings.lag], or_zero=True)
+    _require("disturbance_bound", "finite numbers > 0", settings.disturbance_bound)
+    _require("hat_start_std", "finite numbers > 0", settings.x_std)
+    _require("noise_std", "finite numbers ≥ 0", sensors.noise_std, or_zero=True)
+    _require("delay", "finite numbers ≥ 0", sensors.delay, or_zero=True)
+    _require("bias_std", "finite numbers ≥ 0", sensors.bias_std, or_zero=True)
+    _require("disturbance_rate", "finite numbers ≥ 0", settings.disturbance_rate, or_zero=True)
+    _require("parameter_std", "finite numbers ≥ 0", settings.parameter_std, or_zero=True)
+    _require("state_noise", "finite numbers ≥ 0", settings.state_noise, or_zero=True)
 
 
-def _require(name: str, condition: bool, expected: str, received: object) -> None:
-    if not condition:
-        raise DesignError.report(name, expected=expected, received=str(received))
+def _require(name: str, expected: str, values: Vector, *, or_zero: bool = False) -> None:
+    for value in values:
+        if not isfinite(value) or value < 0.0 or (value == 0.0 and not or_zero):
+            raise DesignError.report(name, expected=expected, received=f"{value:g}")
