@@ -148,7 +148,7 @@ static void warn_of_ranges(const Call *call, Core *core) {
     for (int i = 0; i < STATES; i++) {
         double value = core->outputs[i], low = bounds_of_states[i][0], high = bounds_of_states[i][1];
         if (core->has_left[i] || (low <= value && value <= high)) continue;
-        const char *name = core->observer.equations.states.p[i];
+        const char *name = core->plant.states.p[i];
         char line[MESSAGE_SIZE];
         core->has_left[i] = true;
         snprintf(line, sizeof line,
