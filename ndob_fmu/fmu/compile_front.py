@@ -28,6 +28,7 @@ import numpy as np
 from ndob_fmu.fmu.fmu_description import FmuDescription
 from ndob_fmu.fmu.rules_header import NAME, ROLE_LETTERS, rules_header
 from ndob_fmu.interface.fmi_rules import role
+from ndob_fmu.support.compilers import compiler_identity
 from ndob_fmu.support.kept_files import keep, kept
 from ndob_fmu.support.temporary import temporary_folder
 
@@ -104,8 +105,6 @@ WINDOWS = Platform(
 )
 # What was compiled in this process, by platform and wished compiler.
 _compiled: dict[tuple[Platform, str], bytes | None] = {}
-# Variables that change what gcc and clang find.
-_READ_BY_COMPILERS = ("PATH", "CPATH", "C_INCLUDE_PATH", "LIBRARY_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX")
 _TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B", "String": "S"}
 
 
@@ -231,8 +230,5 @@ def _key(target: Platform, compiler: Sequence[str]) -> str:
     for folder in (*(SOURCES / name for name in FOLDERS), HEADERS):
         for path in sorted(folder.glob("*.[ch]")):
             whole.update(f"\0{path.name}\0".encode() + path.read_bytes())
-    programs = [Path(found).resolve() for word in compiler if (found := shutil.which(word))]
-    files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in programs]
-    environment = [os.environ.get(name) for name in _READ_BY_COMPILERS]
-    whole.update(repr((target, _FLAGS, compiler, files, environment)).encode())
+    whole.update(repr((target, _FLAGS, compiler_identity(compiler))).encode())
     return f"front-{whole.hexdigest()}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import platform
@@ -12,9 +13,12 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from ndob_fmu.errors import UsageError
+from ndob_fmu.support.compilers import compiler_identity
+from ndob_fmu.support.kept_files import keep, kept
 from ndob_fmu.support.temporary import temporary_folder
 
 
@@ -115,8 +119,14 @@ def _compilers(chosen: Platform, target: str) -> list[list[str]]:
 
 
 def _compiled(work: Path, source: str, output: str, command: Sequence[str], target: str) -> bytes:
+    """Return a library; what the same compiler made of the same sources is taken from the user's cache folder."""
+    whole = [*command, *_OPTIONS, source, "-o", output, *(() if target == "win64" else ("-lm",))]
+    key = _key(work, whole)
+    known = kept(key)
+    if known is not None:
+        return known
     done = subprocess.run(
-        [*command, *_OPTIONS, source, "-o", output, *(() if target == "win64" else ("-lm",))],
+        whole,
         cwd=work,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -126,9 +136,20 @@ def _compiled(work: Path, source: str, output: str, command: Sequence[str], targ
     )
     library = work / output
     if done.returncode == 0 and library.exists():
-        return library.read_bytes()
+        keep(key, found := library.read_bytes())
+        return found
     said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
     raise UsageError.report(f"--platforms {target}", expected=f"{command[0]} to compile {source}", received=said)
+
+
+def _key(work: Path, command: Sequence[str]) -> str:
+    """Return a digest of what a library is made from: the C files, the command, and the compiler behind it."""
+    digest = hashlib.sha256(compiler_identity(command).encode())
+    if "ziglang" in command:
+        digest.update(version("ziglang").encode())
+    for path in sorted(work.glob("*.[ch]")):
+        digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
+    return f"native-{digest.hexdigest()}"
 
 
 # The header of a universal binary (Apple's <mach-o/fat.h>), and the alignment of its parts, 2¹⁴ bytes.

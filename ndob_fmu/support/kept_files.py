@@ -14,7 +14,7 @@ from pathlib import Path
 from ndob_fmu.errors import UsageError
 from ndob_fmu.support.files import atomic_path
 
-_MOST = 32  # files; the oldest make room
+_MOST = 128  # files of less than a megabyte; the oldest make room
 _DIGEST = hashlib.sha256().digest_size
 _UNUSABLE = (OSError, RuntimeError, UsageError)  # RuntimeError: the account has no home
 

@@ -273,9 +273,30 @@ def test_fmpy_compiles_the_sources_to_a_binary_with_the_same_results(built, fmi,
     assert counted(tmp_path) == counted(fmu)
 
 
-def test_the_same_fmu_has_the_same_bytes_in_another_folder(built, fmi, tmp_path):
+def test_the_same_fmu_has_the_same_bytes_in_another_folder(built, fmi, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "another cache"))  # so that it is compiled again
     again = package(tmp_path / "ä b" / "Counter.fmu", *COMPONENTS["Counter"], {}, platforms=["linux64"], fmi=fmi)
     assert again.read_bytes() == built("Counter", fmi).read_bytes()
+
+
+def test_what_a_compiler_made_of_the_same_sources_is_kept(tmp_path, monkeypatch):
+    """Another text, another option or another compiler is compiled anew."""
+    calls, run = [], subprocess.run
+    monkeypatch.setattr(
+        compilers.subprocess, "run", lambda command, **more: calls.append(command) or run(command, **more)
+    )
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def text(value):
+        return {"model.c": f"int answer(void);\nint answer(void) {{ return {value}; }}\n"}
+
+    first = compilers.binary("model", text(1), "linux64")
+    assert compilers.binary("model", text(1), "linux64") == first
+    assert len(calls) == 1
+    assert compilers.binary("model", text(2), "linux64") != first
+    monkeypatch.setenv("CC", "cc -DOTHER")
+    compilers.binary("model", text(1), "linux64")
+    assert len(calls) == 3
 
 
 def test_an_fmu_that_is_up_to_date_can_be_kept_without_a_compiler(built, fmi, monkeypatch):
