@@ -21,9 +21,9 @@ from tests.helpers.needs import FRONT
 
 pytestmark = FRONT
 ROOT = Path(__file__).parents[2]
-JOINT, ARM, TANK, TOOL = (
+JOINT, ARM, CYLINDER, TOOL = (
     "flexible_joint",
-    *(str(ROOT / "examples" / f"{name}.py") for name in ("two_link_arm", "stirred_tank", "tool_on_arm")),
+    *(str(ROOT / "examples" / f"{name}.py") for name in ("two_link_arm", "hydraulic_cylinder", "tool_on_arm")),
 )
 STEPS = 600
 # Of a signal's range: gains come from another linear algebra. Without noise they are at the edge of the numbers.
@@ -41,7 +41,8 @@ CASES = {
     "method 2, estimated": (JOINT, {"noise_std": 1e-5, "estimate_parameters": True, "gravity_torque_std": 0.1}, EQUAL),
     "method 1": (JOINT, {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.2}, EQUAL),
     "two disturbances": (ARM, {}, EQUAL),
-    "ranges": (TANK, {}, EQUAL),
+    "ranges": (CYLINDER, {}, EQUAL),
+    "ranges, method 1": (CYLINDER, {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.1}, EQUAL),
     "a channel": (TOOL, {}, EQUAL),
     "a channel, lag": (TOOL, {"lag": 0.05, "disturbance_order": 1}, EQUAL),
     "a channel, method 1": (TOOL, {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.2}, EQUAL),
@@ -198,3 +199,21 @@ def test_the_command_builds_native_fmus_and_says_what_fits_which_target(tmp_path
     ]
     assert main(["build", JOINT, "--fmi", "3", "--out", str(tmp_path)]) == 2
     assert "build --fmi 3: expected --target native, received --target python" in capsys.readouterr().err
+
+
+def test_an_estimate_of_method_1_outside_its_range_is_said_in_the_words_of_the_python_fmu(built):
+    model, python, _, native = built(CYLINDER)
+    (state, (_, high)) = next((name, model.ranges[name]) for name in model.states if name in model.ranges)
+    told = []
+    for fmu in (python, native):
+        library = Library(Path(fmpy.extract(str(fmu))))
+        references = {variable.name: variable.reference for variable in library.variables}
+        handle = library.new(logging=1)
+        library.set(handle, [references["method"]], [1], "Integer")
+        library.set(handle, [references[f"{state}_hat_start"]], [2.0 * high])
+        library.begin(handle)
+        assert library.step(handle, 0.0, model.experiment.step_size) in (0, 1)
+        told.append([text for _, _, text in library.said if "outside its range" in text])
+        library.FreeInstance(handle)
+    assert told[0] == told[1]
+    assert told[0]
