@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ndob_fmu.log.diagnostics import LAGS, OutputDiagnosis
 from ndob_fmu.log.result_table import LOG, OBSERVER, SMOOTHER
@@ -62,10 +63,13 @@ def write_figures(
         for axes, (name, unit) in zip(rows, disturbances, strict=True):
             lines = [(OBSERVER, f"{name}_hat", f"{name}_std", "online", "C0")]
             lines += [(SMOOTHER, name, f"{name}_std", "smoothed", "C3")] if smooths else []
+            ends: list[Array] = []
             for component, mean, std, label, color in lines:
                 value, bar = kept[f"{component}.{mean}"], 2.0 * kept[f"{component}.{std}"]
                 axes.plot(time, value, color=color, linewidth=1.0, label=f"{label}, ± 2 std")
                 axes.fill_between(time, value - bar, value + bar, color=color, alpha=0.15, linewidth=0.0)
+                ends += [value - bar, value + bar]
+            _show_usual(axes, ends)
             axes.set_ylabel(f"{name} [{unit}]")
             axes.legend(loc="upper right")
         axes.set_xlabel("time [s]")
@@ -80,6 +84,7 @@ def write_figures(
             above.legend(loc="upper right")
             below.plot(time, residual, ".", markersize=1.5, color="C1", label="residual")
             below.fill_between(time, -bar, bar, color="0.5", alpha=0.25, linewidth=0.0, label="± 2 std")
+            _show_usual(below, [residual, -bar, bar])
             below.set_ylabel(f"[{unit}]")
             below.legend(loc="upper right")
         below.set_xlabel("time [s]")
@@ -90,3 +95,10 @@ def write_figures(
             axes.set_ylim(-1.0, 1.0)
             axes.set_ylabel(f"correlation of {name}'s residuals")
         axes.set_xlabel("samples apart")
+
+
+def _show_usual(axes: Axes, signals: Sequence[Array]) -> None:
+    """Let an axis show the usual values of signals: at the start, bars are as wide as the state is unknown."""
+    low, high = (np.nanquantile(np.concatenate(signals), share) for share in (0.005, 0.995))
+    room = 0.1 * (high - low) or 1.0
+    axes.set_ylim(low - room, high + room)
