@@ -46,7 +46,7 @@ def function_texts(model: Model, eq: Equations, names: Sequence[str], more: Sequ
 
 
 def equations_text(eq: Equations, functions: Mapping[str, str], name: str = "set_equations") -> str:
-    """Return a function of C that fills the structure `Equations`.
+    """Return a function of C that fills the structure `Equations`; views of vectors lie in the memory it gets.
 
     functions: the fields that are functions, with their names in C
     name: of the function
@@ -72,7 +72,7 @@ def equations_text(eq: Equations, functions: Mapping[str, str], name: str = "set
     if "matrices" in functions:
         lines += ["equations->matrices.some = true;", f"equations->matrices.value.call = {functions['matrices']};"]
     body = "\n".join(f"    {line}" for line in lines)
-    return f"static void {name}(Equations *equations) {{\n{body}\n}}\n"
+    return f"static void {name}(Equations *equations, nd_arena *memory) {{\n{body}\n}}\n"
 
 
 def channel_size(eq: Equations) -> str:
@@ -94,7 +94,7 @@ def _vector(field: str, values: Sequence[float]) -> list[str]:
     listed, name = ", ".join(number(float(value)) for value in values) or "0.0", field.replace(".", "_")
     return [
         f"static const double {name}[] = {{{listed}}};",
-        f"equations->{field} = nd_view_of({len(values)}, {name});",
+        f"equations->{field} = nd_view_of(memory, {len(values)}, {name});",
     ]
 
 

@@ -23,11 +23,11 @@ def frozen_step_text(gain: Sequence[str], counts: Mapping[str, int], inputs: int
     arrays = [one.name for one in fields(SampledObserverState) if one.name != "memory"]
     sizes = [counts["d_hat" if name == "d_std" else name] for name in arrays]
     place = dict(zip(arrays, _starts(sizes), strict=True))
-    taken = "".join(f"common->gain.{field}.p, " for field in gain)
+    taken = "".join(f"common->gain.{field}->p, " for field in gain)
     written = "".join(
         f"    memcpy(state + {place[name]}, {source}, {size} * sizeof(double));\n"
         for name, size in zip(arrays, sizes, strict=True)
-        for source in [f"result + {place_in_result[name]}" if name in place_in_result else f"common->gain.{name}.p"]
+        for source in [f"result + {place_in_result[name]}" if name in place_in_result else f"common->gain.{name}->p"]
     )
     before = _before_end(outputs)
     return (
@@ -37,7 +37,7 @@ def frozen_step_text(gain: Sequence[str], counts: Mapping[str, int], inputs: int
         f"    if (end[-{before['converged']}] == 0.0 || end[-{before['step']}] != H"
         f" || end[-{before['tuned_at']}] != tuned_at) return false;\n"
         f"    for (int i = 0; i < {outputs}; i++)\n"
-        "        if (told[i] != noise.p[i]) return false;\n"
+        "        if (told[i] != noise->p[i]) return false;\n"
         "    return true;\n"
         "}\n"
         "/* Advance a state from a sample that is not suspicious; false, with nothing written, for all else. */\n"
@@ -46,10 +46,10 @@ def frozen_step_text(gain: Sequence[str], counts: Mapping[str, int], inputs: int
         f"    double inputs[{inputs + outputs}], result[{sum(counts.values())}];\n"
         f"    memcpy(inputs, u, {inputs} * sizeof(double));\n"
         f"    memcpy(inputs + {inputs}, y, {outputs} * sizeof(double));\n"
-        f"    if (observer_step(state, inputs, state + {place['squares']}, common->constants.p, {taken}H, result))\n"
+        f"    if (observer_step(state, inputs, state + {place['squares']}, common->constants->p, {taken}H, result))\n"
         "        return false;\n"
-        f"    nd squares = nd_view({outputs}, result + {place_in_result['squares']});\n"
-        "    if (!converged_step_squares_are_usual(arena, squares, common->least_squares)) return false;\n"
+        f"    nd_array squares = nd_around({outputs}, result + {place_in_result['squares']});\n"
+        "    if (!converged_step_squares_are_usual(arena, &squares, common->least_squares)) return false;\n"
         f"{written}"
         f"    memcpy(outputs, result + {place_in_result['outputs']}, {counts['outputs']} * sizeof(double));\n"
         "    return true;\n"

@@ -13,7 +13,7 @@ def thunk(name: str, arity: int, count: int) -> str:
     return (
         f"static nd call_{name}(nd_arena *arena, const void *env{arguments}) {{\n"
         f"    nd result = numbers(arena, {count});\n"
-        f"    int fault = {name}({given}result.p);\n"
+        f"    int fault = {name}({given}result->p);\n"
         f"    (void)env;\n"
         f"    if (fault) raise_fault(arena, fault);\n"
         f"    return result;\n"
@@ -26,9 +26,9 @@ def trial_thunk(n: int) -> str:
     return (
         "static Trial call_plant_trial(nd_arena *arena, const void *env, nd x, nd u, nd d, nd k, double h) {\n"
         f"    nd result = numbers(arena, {n + 1});\n"
-        "    int fault = plant_trial(flat(arena, x), flat(arena, u), flat(arena, d), flat(arena, k), h, result.p);\n"
-        f"    Trial trial = {{result, result.p[{n}]}};\n"
-        f"    trial.x.n[0] = {n};\n"
+        "    int fault = plant_trial(flat(arena, x), flat(arena, u), flat(arena, d), flat(arena, k), h, result->p);\n"
+        f"    Trial trial = {{result, result->p[{n}]}};\n"
+        f"    trial.x->n[0] = {n};\n"
         "    (void)env;\n"
         "    if (fault) raise_fault(arena, fault);\n"
         "    return trial;\n"
@@ -45,15 +45,15 @@ def matrices_thunk(shapes: Sequence[tuple[int, int]]) -> str:
         f"    static const int shapes[][2] = {{{listed}}};\n"
         f"    l_l_nd found = {{{len(shapes)}, nd_take_bytes(arena, {len(shapes)} * sizeof(nd_list))}};\n"
         f"    nd result = numbers(arena, {count});\n"
-        "    double *from = result.p;\n"
-        "    int fault = matrices(flat(arena, p), result.p);\n"
+        "    double *from = result->p;\n"
+        "    int fault = matrices(flat(arena, p), result->p);\n"
         "    (void)env;\n"
         "    if (fault) raise_fault(arena, fault);\n"
         "    for (int k = 0; k < found.n; k++) {\n"
         "        found.p[k].n = shapes[k][0];\n"
         "        found.p[k].p = nd_take_bytes(arena, (size_t)shapes[k][0] * sizeof(nd) + 1);\n"
         "        for (int i = 0; i < shapes[k][0]; i++, from += shapes[k][1])\n"
-        "            found.p[k].p[i] = nd_view(shapes[k][1], from);\n"
+        "            found.p[k].p[i] = nd_view(arena, shapes[k][1], from);\n"
         "    }\n"
         "    return found;\n"
         "}\n"
@@ -69,7 +69,7 @@ def converged_step_thunk(fields: Sequence[str], counts: Mapping[str, int]) -> st
     gain = "".join(f"flat(arena, gain->{field}), " for field in fields)
     places = accumulate(counts.values(), initial=0)
     parts = "".join(
-        f"    found.value.{name} = nd_view({count}, result.p + {place});\n"
+        f"    found.value.{name} = nd_view(arena, {count}, result->p + {place});\n"
         for (name, count), place in zip(counts.items(), places, strict=False)
     )
     return (
@@ -78,7 +78,7 @@ def converged_step_thunk(fields: Sequence[str], counts: Mapping[str, int]) -> st
         "    m_ObserverStep found;\n"
         f"    nd result = numbers(arena, {sum(counts.values())});\n"
         "    int fault = observer_step(flat(arena, xi_hat), flat(arena, inputs), flat(arena, squares),\n"
-        f"                              flat(arena, k), {gain}H, result.p);\n"
+        f"                              flat(arena, k), {gain}H, result->p);\n"
         "    (void)env;\n"
         "    memset(&found, 0, sizeof found);\n"
         "    if (fault && fault != STOPPED) raise_fault(arena, fault);\n"

@@ -81,7 +81,7 @@ class Library:
 
     def __init__(self, translation: Translation, folder: Path) -> None:
         self.translation, self.program = translation, translation.program
-        self._types: dict[str, Any] = {"nd": Nd, "nd_slice": Slice}
+        self._types: dict[str, Any] = {"nd": ctypes.POINTER(Nd), "nd_slice": Slice}
         self._alive: list[Any] = []
         functions = self._function_kinds()
         (folder / "translated.h").write_text(translation.header, "utf-8")
@@ -189,14 +189,16 @@ class Library:
             setattr(made, c_name(name) if isinstance(kind, kinds.Structure) else name, self.to_c(item, own))
         return made
 
-    def _nd(self, value: Any) -> Nd:
+    def _nd(self, value: Any) -> Any:
         if value is None:
-            return Nd(None, -1)
+            return None
         array = np.ascontiguousarray(np.array(value, dtype=float))
         self._alive.append(array)
         lengths, strides = [*array.shape, 1, 1, 1, 1][:4], [*(s // 8 for s in array.strides), 1, 1, 1, 1][:4]
         pointer = array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        return Nd(pointer, array.ndim, (ctypes.c_int * 4)(*lengths), (ctypes.c_int * 4)(*strides))
+        made = Nd(pointer, array.ndim, (ctypes.c_int * 4)(*lengths), (ctypes.c_int * 4)(*strides))
+        self._alive.append(made)
+        return ctypes.pointer(made)
 
     def _list(self, value: Any, kind: kinds.Listing) -> Any:
         element = self.type_of(kind.element)
@@ -263,9 +265,10 @@ class Library:
         }
         return list(named.values()) if isinstance(kind, kinds.Pack) else named
 
-    def _array(self, value: Nd, kind: Any) -> Any:
-        if value.rank < 0:
+    def _array(self, pointer: Any, kind: Any) -> Any:
+        if not pointer:
             return None
+        value = pointer.contents
         shape, strides = value.n[: value.rank], [8 * s for s in value.s[: value.rank]]
         if 0 in shape:
             array = np.zeros(shape)

@@ -25,17 +25,22 @@ int begin(void *block, size_t bytes, const double *p, int parameters, double pi_
     static const double noise[] = {1e-5, 1e-5}, bound[] = {2.0}, nominal[] = {0.5};
     memset(&observer, 0, sizeof observer);
     paper_memory(&observer, block, bytes);
-    set_equations(&observer.equations);
-    observer.parameters = nd_view_of(parameters, p);
-    return paper_start(&observer, pi_start, pi_end, ramp_time, 1.0, nd_view_of(2, noise), nd_view_of(1, bound),
-                       nd_view_of(1, nominal));
+    set_equations(&observer.equations, &observer.lasting);
+    observer.parameters = nd_view_of(&observer.lasting, parameters, p);
+    nd_array given[] = {nd_around(2, noise), nd_around(1, bound), nd_around(1, nominal)};
+    return paper_start(&observer, pi_start, pi_end, ramp_time, 1.0, &given[0], &given[1], &given[2]);
 }
-void first_state(const double *x, double *state) { paper_first_state(&observer, nd_view_of(4, x), state); }
+void first_state(const double *x, double *state) {
+    nd_array x_hat = nd_around(4, x);
+    paper_first_state(&observer, &x_hat, state);
+}
 int advance_by(double *state, const double *u, const double *y, double step, double *outputs) {
-    return paper_step(&observer, state, nd_view_of(1, u), nd_view_of(2, y), step, outputs);
+    nd_array given[] = {nd_around(1, u), nd_around(2, y)};
+    return paper_step(&observer, state, &given[0], &given[1], step, outputs);
 }
 int show(const double *state, const double *y, double *outputs) {
-    return paper_show(&observer, state, nd_view_of(2, y), outputs);
+    nd_array given = nd_around(2, y);
+    return paper_show(&observer, state, &given, outputs);
 }
 int possible(const double *state, double elapsed) { return paper_possible(&observer, state, elapsed); }
 const char *message(void) { return observer.scratch.message; }

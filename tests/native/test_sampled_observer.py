@@ -43,30 +43,31 @@ int begin(void *block, size_t bytes, const double *given, const int *sizes, int 
         &s->state_noise, &s->estimated};
     memset(&observer, 0, sizeof observer);
     sampled_memory(&observer, block, bytes);
-    set_equations(&observer.equations);
-    for (int i = 0; i < 11; given += sizes[i], i++) *fields[i] = nd_view_of(sizes[i], given);
+    set_equations(&observer.equations, &observer.lasting);
+    for (int i = 0; i < 11; given += sizes[i], i++) *fields[i] = nd_view_of(&observer.lasting, sizes[i], given);
     s->order = order, s->adapt_noise = adapts != 0;
     s->lag = *given++, s->alpha = *given++, s->pi = *given++;
-    return sampled_start(&observer, nd_view_of(observer.equations.states.n, given));
+    nd_array x_hat = nd_around(observer.equations.states.n, given);
+    return sampled_start(&observer, &x_hat);
 }
 int first_state(double *state) {
     sampled_first_state(&observer, state);
     return (int)observer.count;
 }
 int advance_by(double *state, const double *u, const double *y, double step, double *outputs) {
-    return sampled_step(&observer, state, nd_view_of(observer.equations.inputs.n, u),
-                        nd_view_of(observer.equations.outputs.n, y), step, outputs);
+    nd_array given[] = {nd_around(observer.equations.inputs.n, u), nd_around(observer.equations.outputs.n, y)};
+    return sampled_step(&observer, state, &given[0], &given[1], step, outputs);
 }
 int advance_translated(double *state, const double *u, const double *y, double step, double *outputs) {
     if (setjmp(observer.full)) return SAMPLED_NO_MEMORY;
     observer.scratch.used = 0;
-    step_in_memory(&observer, state, nd_view_of(observer.equations.inputs.n, u),
-                   nd_view_of(observer.equations.outputs.n, y), step, outputs);
+    nd_array given[] = {nd_around(observer.equations.inputs.n, u), nd_around(observer.equations.outputs.n, y)};
+    step_in_memory(&observer, state, &given[0], &given[1], step, outputs);
     return observer.scratch.error;
 }
 int advance_in_place(double *state, const double *u, const double *y, double step, double *outputs) {
-    return step_as_kept(&observer, state, nd_view_of(observer.equations.inputs.n, u),
-                        nd_view_of(observer.equations.outputs.n, y), step, outputs);
+    nd_array given[] = {nd_around(observer.equations.inputs.n, u), nd_around(observer.equations.outputs.n, y)};
+    return step_as_kept(&observer, state, &given[0], &given[1], step, outputs);
 }
 int has_frozen(const double *state) {
     if (setjmp(observer.full)) return -1;

@@ -9,8 +9,6 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-const nd nd_none = {NULL, -1, {0, 0, 0, 0}, {0, 0, 0, 0}};
-
 /* -- memory */
 
 enum { ND_ALIGNMENT = 16 };
@@ -72,43 +70,52 @@ void nd_keep_shift(nd_keeping *k, void **p) {
     if (k->pass == 2 && is_inside(k->a, *p, k->top, k->a->used)) *p = (char *)*p - (k->top - k->mark);
 }
 
-void nd_keep_array(nd_keeping *k, nd *x) {
-    void *p;
-    if (x->rank < 0 || !x->p) return; /* there is no array, or its field was never filled */
-    if (k->pass != 2) {
-        if (k->pass == 3 || is_inside(k->a, x->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
-        return;
-    }
-    p = x->p;
-    nd_keep_shift(k, &p);
-    x->p = p;
-}
-
 static bool is_compact(nd x) {
-    for (int i = x.rank - 1, s = 1; i >= 0; i--) {
-        if (x.s[i] != s && x.n[i] != 1) return false;
-        s *= x.n[i];
+    for (int i = x->rank - 1, s = 1; i >= 0; i--) {
+        if (x->s[i] != s && x->n[i] != 1) return false;
+        s *= x->n[i];
     }
     return true;
 }
 
+static nd stored(nd_arena *a, nd_array view) {
+    nd x = nd_take_bytes(a, sizeof view);
+    *x = view;
+    return x;
+}
+
+void nd_keep_array(nd_keeping *k, nd *x) {
+    void *p;
+    if (!*x) return;
+    if (k->pass != 2) {
+        if (k->pass == 3 || is_inside(k->a, (*x)->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
+        else if (is_inside(k->a, *x, k->mark, k->top)) *x = stored(k->a, **x);
+        return;
+    }
+    if (!is_inside(k->a, *x, k->top, k->a->used)) return;
+    p = (*x)->p;
+    nd_keep_shift(k, &p);
+    (*x)->p = p;
+    p = *x;
+    nd_keep_shift(k, &p);
+    *x = p;
+}
+
+/* Whether the numbers follow their view, as `nd_new` puts them. */
+static bool is_whole(nd x) { return (void *)x->p == (void *)(x + 1) && is_compact(x); }
+
 nd nd_keep(nd_arena *a, size_t mark, nd x) {
-    if (x.rank >= 0 && is_inside(a, x.p, mark, a->used)) {
-        nd_keeping k = {a, mark, a->used, 2};
-        size_t bytes = (size_t)nd_size(x) * sizeof(double);
-        if (is_compact(x)) {
-            memmove(a->base + mark, x.p, bytes);
-            x.p = (double *)(void *)(a->base + mark);
-            a->used = mark;
-            (void)nd_take_bytes(a, bytes ? bytes : 1);
-            return x;
-        }
-        x = nd_copy(a, x);
-        nd_keep_array(&k, &x);
-        nd_keep_end(&k);
+    nd_keeping k = {a, mark, a->used, 1};
+    if (x && is_inside(a, x, mark, a->used) && is_whole(x)) {
+        size_t bytes = sizeof *x + (size_t)nd_size(x) * sizeof(double);
+        memmove(a->base + mark, x, bytes);
+        a->used = mark;
+        x = nd_take_bytes(a, bytes);
+        x->p = (double *)(void *)(x + 1);
         return x;
     }
-    a->used = mark;
+    for (; k.pass <= 2; k.pass++) nd_keep_array(&k, &x);
+    nd_keep_end(&k);
     return x;
 }
 
@@ -123,8 +130,8 @@ typedef struct {
 static shape4 shape_of(nd x) {
     shape4 r;
     for (int i = 0; i < ND_RANK; i++) {
-        int axis = i - ND_RANK + x.rank;
-        r.n[i] = axis < 0 ? 1 : x.n[axis];
+        int axis = i - ND_RANK + x->rank;
+        r.n[i] = axis < 0 ? 1 : x->n[axis];
     }
     return r;
 }
@@ -132,8 +139,8 @@ static shape4 shape_of(nd x) {
 /* The strides of x over a shape, 0 along axes that it does not have or in which its length is one. */
 static void strides_over(nd x, const shape4 *over, int *s) {
     for (int i = 0; i < ND_RANK; i++) {
-        int axis = i - ND_RANK + x.rank;
-        s[i] = axis < 0 || (x.n[axis] == 1 && over->n[i] != 1) ? 0 : x.s[axis];
+        int axis = i - ND_RANK + x->rank;
+        s[i] = axis < 0 || (x->n[axis] == 1 && over->n[i] != 1) ? 0 : x->s[axis];
     }
 }
 
@@ -141,116 +148,120 @@ static void strides_over(nd x, const shape4 *over, int *s) {
     for (int i0 = 0; i0 < (o).n[0]; i0++)     \
         for (int i1 = 0; i1 < (o).n[1]; i1++) \
             for (int i2 = 0; i2 < (o).n[2]; i2++)
-#define ND_ROW(x, s) ((x).p + i0 * (s)[0] + i1 * (s)[1] + i2 * (s)[2])
+#define ND_ROW(x, s) ((x)->p + i0 * (s)[0] + i1 * (s)[1] + i2 * (s)[2])
 
 /* -- making arrays */
 
 nd nd_new(nd_arena *a, int rank, const int *n) {
-    nd x = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
+    nd_array view = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
     int size = 1;
     for (int i = rank - 1; i >= 0; i--) {
-        x.n[i] = n[i] > 0 ? n[i] : 0;
-        x.s[i] = size;
-        size *= x.n[i];
+        view.n[i] = n[i] > 0 ? n[i] : 0;
+        view.s[i] = size;
+        size *= view.n[i];
     }
-    x.p = nd_take_bytes(a, sizeof(double) * (size_t)(size ? size : 1));
+    nd x = nd_take_bytes(a, sizeof view + sizeof(double) * (size_t)(size ? size : 1));
+    *x = view;
+    x->p = (double *)(void *)(x + 1);
     return x;
 }
 
 nd nd_full(nd_arena *a, int rank, const int *n, double value) {
     nd x = nd_new(a, rank, n);
-    for (int i = 0, size = nd_size(x); i < size; i++) x.p[i] = value;
+    for (int i = 0, size = nd_size(x); i < size; i++) x->p[i] = value;
     return x;
 }
 
-nd nd_full_like(nd_arena *a, nd x, double value) { return nd_full(a, x.rank, x.n, value); }
+nd nd_full_like(nd_arena *a, nd x, double value) { return nd_full(a, x->rank, x->n, value); }
 
 nd nd_scalar(nd_arena *a, double value) { return nd_full(a, 0, NULL, value); }
 
 nd nd_vector(nd_arena *a, int n, const double *values) {
     nd x = nd_new(a, 1, &n);
-    memcpy(x.p, values, sizeof(double) * (size_t)n);
+    memcpy(x->p, values, sizeof(double) * (size_t)n);
     return x;
 }
 
-nd nd_view_of(int n, const double *values) {
-    double *p;
-    memcpy(&p, &values, sizeof p);
-    return nd_view(n, p);
+nd_array nd_around(int n, const double *values) {
+    nd_array view = {NULL, 1, {n, 1, 1, 1}, {1, 1, 1, 1}};
+    memcpy(&view.p, &values, sizeof values);
+    return view;
 }
 
-nd nd_view(int n, double *values) { return (nd){values, 1, {n, 1, 1, 1}, {1, 1, 1, 1}}; }
+nd nd_view_of(nd_arena *a, int n, const double *values) { return stored(a, nd_around(n, values)); }
+
+nd nd_view(nd_arena *a, int n, double *values) { return nd_view_of(a, n, values); }
 
 nd nd_eye(nd_arena *a, int rows, int columns, int k) {
     nd x = nd_full(a, 2, (int[]){rows, columns}, 0.0);
-    for (int i = 0; i < x.n[0]; i++)
-        if (i + k >= 0 && i + k < x.n[1]) x.p[i * x.n[1] + i + k] = 1.0;
+    for (int i = 0; i < x->n[0]; i++)
+        if (i + k >= 0 && i + k < x->n[1]) x->p[i * x->n[1] + i + k] = 1.0;
     return x;
 }
 
 nd nd_tri(nd_arena *a, int n) {
     nd x = nd_full(a, 2, (int[]){n, n}, 0.0);
     for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) x.p[i * n + j] = 1.0;
+        for (int j = 0; j <= i; j++) x->p[i * n + j] = 1.0;
     return x;
 }
 
 nd nd_copy(nd_arena *a, nd x) {
     nd r;
-    if (x.rank < 0) return x;
-    r = nd_new(a, x.rank, x.n);
-    if (is_compact(x)) memcpy(r.p, x.p, sizeof(double) * (size_t)nd_size(x));
+    if (!x) return x;
+    r = nd_new(a, x->rank, x->n);
+    if (is_compact(x)) memcpy(r->p, x->p, sizeof(double) * (size_t)nd_size(x));
     else nd_put(r, x);
     return r;
 }
 
 nd nd_arange(nd_arena *a, int start, int stop) {
     nd x = nd_new(a, 1, (int[]){stop - start});
-    for (int i = 0; i < x.n[0]; i++) x.p[i] = start + i;
+    for (int i = 0; i < x->n[0]; i++) x->p[i] = start + i;
     return x;
 }
 
 nd nd_linspace(nd_arena *a, double low, double high, int n) {
     nd x = nd_new(a, 1, &n);
     double step = n > 1 ? (high - low) / (n - 1) : 0.0;
-    for (int i = 0; i < n; i++) x.p[i] = i * step + low;
-    if (n > 1) x.p[n - 1] = high;
+    for (int i = 0; i < n; i++) x->p[i] = i * step + low;
+    if (n > 1) x->p[n - 1] = high;
     return x;
 }
 
 nd nd_geomspace(nd_arena *a, double low, double high, int n) {
     nd x = nd_linspace(a, 0.0, log10(high / low), n);
-    for (int i = 0; i < n; i++) x.p[i] = pow(10.0, x.p[i]) * low;
-    if (n > 0) x.p[0] = low;
-    if (n > 1) x.p[n - 1] = high;
+    for (int i = 0; i < n; i++) x->p[i] = pow(10.0, x->p[i]) * low;
+    if (n > 0) x->p[0] = low;
+    if (n > 1) x->p[n - 1] = high;
     return x;
 }
 
 /* -- reading and writing entries */
 
-int nd_len(nd x) { return x.n[0]; }
+int nd_len(nd x) { return x->n[0]; }
 
 int nd_size(nd x) {
     int size = 1;
-    for (int i = 0; i < x.rank; i++) size *= x.n[i];
+    for (int i = 0; i < x->rank; i++) size *= x->n[i];
     return size;
 }
 
-double nd_item(nd x) { return *x.p; }
+double nd_item(nd x) { return *x->p; }
 
-double nd_at(nd x, int i) { return x.p[(i < 0 ? x.n[0] + i : i) * x.s[0]]; }
+double nd_at(nd x, int i) { return x->p[(i < 0 ? x->n[0] + i : i) * x->s[0]]; }
 
-double nd_at2(nd x, int i, int j) { return x.p[(i < 0 ? x.n[0] + i : i) * x.s[0] + (j < 0 ? x.n[1] + j : j) * x.s[1]]; }
+double nd_at2(nd x, int i, int j) { return x->p[(i < 0 ? x->n[0] + i : i) * x->s[0] + (j < 0 ? x->n[1] + j : j) * x->s[1]]; }
 
-void nd_set(nd x, int i, double value) { x.p[(i < 0 ? x.n[0] + i : i) * x.s[0]] = value; }
+void nd_set(nd x, int i, double value) { x->p[(i < 0 ? x->n[0] + i : i) * x->s[0]] = value; }
 
 static int bounded(int at, int n) {
     if (at < 0) at += n;
     return at < 0 ? 0 : at > n ? n : at;
 }
 
-nd nd_get(nd x, int count, const nd_ix *at) {
-    nd r = {x.p, 0, {1, 1, 1, 1}, {1, 1, 1, 1}};
+static nd_array part_of(nd x, int count, const nd_ix *at) {
+    nd_array r = {x->p, 0, {1, 1, 1, 1}, {1, 1, 1, 1}};
     int axis = 0;
     for (int i = 0; i < count; i++) {
         int start, stop;
@@ -259,34 +270,38 @@ nd nd_get(nd x, int count, const nd_ix *at) {
             continue;
         }
         if (at[i].kind == ND_AT) {
-            r.p += (at[i].a < 0 ? x.n[axis] + at[i].a : at[i].a) * x.s[axis];
+            r.p += (at[i].a < 0 ? x->n[axis] + at[i].a : at[i].a) * x->s[axis];
             axis++;
             continue;
         }
-        start = bounded(at[i].a, x.n[axis]);
-        stop = at[i].b == ND_END ? x.n[axis] : bounded(at[i].b, x.n[axis]);
-        r.p += start * x.s[axis];
+        start = bounded(at[i].a, x->n[axis]);
+        stop = at[i].b == ND_END ? x->n[axis] : bounded(at[i].b, x->n[axis]);
+        r.p += start * x->s[axis];
         r.n[r.rank] = stop > start ? stop - start : 0;
-        r.s[r.rank++] = x.s[axis++];
+        r.s[r.rank++] = x->s[axis++];
     }
-    for (; axis < x.rank; axis++) r.n[r.rank] = x.n[axis], r.s[r.rank++] = x.s[axis];
+    for (; axis < x->rank; axis++) r.n[r.rank] = x->n[axis], r.s[r.rank++] = x->s[axis];
     return r;
 }
 
-nd nd_reversed(nd x) {
-    nd r = x;
-    if (x.n[0]) r.p += (x.n[0] - 1) * x.s[0];
-    r.s[0] = -x.s[0];
+nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at) { return stored(a, part_of(x, count, at)); }
+
+nd nd_reversed(nd_arena *a, nd x) {
+    nd r = stored(a, *x);
+    if (x->n[0]) r->p += (x->n[0] - 1) * x->s[0];
+    r->s[0] = -x->s[0];
     return r;
 }
 
-nd nd_row(nd x, int i) { return nd_get(x, 1, (nd_ix[]){{ND_AT, i, 0}}); }
+static nd_array row_of(nd x, int i) { return part_of(x, 1, (nd_ix[]){{ND_AT, i, 0}}); }
+
+nd nd_row(nd_arena *a, nd x, int i) { return stored(a, row_of(x, i)); }
 
 void nd_put(nd x, nd value) {
     shape4 o;
-    if (x.rank == 2 && value.rank == 2 && x.s[1] == 1 && value.s[1] == 1 && value.n[0] == x.n[0] && value.n[1] == x.n[1]) {
-        for (int i = 0; i < x.n[0]; i++)
-            memmove(x.p + i * x.s[0], value.p + i * value.s[0], sizeof(double) * (size_t)x.n[1]);
+    if (x->rank == 2 && value->rank == 2 && x->s[1] == 1 && value->s[1] == 1 && value->n[0] == x->n[0] && value->n[1] == x->n[1]) {
+        for (int i = 0; i < x->n[0]; i++)
+            memmove(x->p + i * x->s[0], value->p + i * value->s[0], sizeof(double) * (size_t)x->n[1]);
         return;
     }
     o = shape_of(x);
@@ -316,51 +331,57 @@ static int index_of(nd indices, int i) { return (int)nd_at(indices, i); }
 
 static nd_ix all_of(void) { return (nd_ix){ND_RANGE, 0, ND_END}; }
 
-static nd slot(nd x, int axis, int i) {
+static nd_array slot(nd x, int axis, int i) {
     nd_ix at[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
     at[axis] = (nd_ix){ND_AT, i, 0};
-    return nd_get(x, axis + 1, at);
+    return part_of(x, axis + 1, at);
 }
 
 nd nd_take(nd_arena *a, nd x, nd indices, int axis) {
-    nd r = x;
-    r.n[axis] = nd_len(indices);
-    r = nd_new(a, x.rank, r.n);
-    for (int i = 0; i < nd_len(indices); i++) nd_put(slot(r, axis, i), slot(x, axis, index_of(indices, i)));
+    nd_array like = *x;
+    like.n[axis] = nd_len(indices);
+    nd r = nd_new(a, x->rank, like.n);
+    for (int i = 0; i < nd_len(indices); i++) {
+        nd_array to = slot(r, axis, i), from = slot(x, axis, index_of(indices, i));
+        nd_put(&to, &from);
+    }
     return r;
 }
 
 nd nd_take2(nd_arena *a, nd x, nd rows, nd columns) {
     nd r = nd_new(a, 2, (int[]){nd_len(rows), nd_len(columns)});
-    for (int i = 0; i < r.n[0]; i++)
-        for (int j = 0; j < r.n[1]; j++) r.p[i * r.n[1] + j] = nd_at2(x, index_of(rows, i), index_of(columns, j));
+    for (int i = 0; i < r->n[0]; i++)
+        for (int j = 0; j < r->n[1]; j++) r->p[i * r->n[1] + j] = nd_at2(x, index_of(rows, i), index_of(columns, j));
     return r;
 }
 
 void nd_put2(nd x, nd rows, nd columns, nd value) {
     for (int i = 0; i < nd_len(rows); i++)
         for (int j = 0; j < nd_len(columns); j++)
-            x.p[index_of(rows, i) * x.s[0] + index_of(columns, j) * x.s[1]] = nd_at2(value, i, j);
+            x->p[index_of(rows, i) * x->s[0] + index_of(columns, j) * x->s[1]] = nd_at2(value, i, j);
 }
 
 void nd_put_rows(nd x, nd rows, nd value) {
-    for (int i = 0; i < nd_len(rows); i++) nd_put(nd_row(x, index_of(rows, i)), value.rank < x.rank ? value : nd_row(value, i));
+    for (int i = 0; i < nd_len(rows); i++) {
+        nd_array to = row_of(x, index_of(rows, i)), from = value->rank < x->rank ? *value : row_of(value, i);
+        nd_put(&to, &from);
+    }
 }
 
 nd nd_indices(nd_arena *a, nd mask) {
     nd x = nd_copy(a, mask), r = nd_new(a, 1, (int[]){nd_size(mask)});
     int count = 0;
     for (int i = 0, size = nd_size(x); i < size; i++)
-        if (x.p[i] != 0.0) r.p[count++] = i;
-    r.n[0] = count;
+        if (x->p[i] != 0.0) r->p[count++] = i;
+    r->n[0] = count;
     return r;
 }
 
 nd nd_argwhere(nd_arena *a, nd mask) {
-    nd found = nd_indices(a, mask), r = nd_new(a, 2, (int[]){nd_len(found), mask.rank});
+    nd found = nd_indices(a, mask), r = nd_new(a, 2, (int[]){nd_len(found), mask->rank});
     for (int k = 0; k < nd_len(found); k++)
-        for (int axis = mask.rank - 1, left = index_of(found, k); axis >= 0; left /= mask.n[axis], axis--)
-            r.p[k * mask.rank + axis] = left % mask.n[axis];
+        for (int axis = mask->rank - 1, left = index_of(found, k); axis >= 0; left /= mask->n[axis], axis--)
+            r->p[k * mask->rank + axis] = left % mask->n[axis];
     return r;
 }
 
@@ -372,23 +393,25 @@ void *nd_room(nd_arena *a, const void *items, int count, size_t bytes) {
 }
 
 void nd_append(nd_arena *a, nd *x, double value) {
-    x->p = nd_room(a, x->p, x->n[0], sizeof(double));
-    x->p[x->n[0]++] = value;
+    nd before = *x;
+    *x = nd_new(a, 1, (int[]){before->n[0] + 1});
+    memcpy((*x)->p, before->p, sizeof(double) * (size_t)before->n[0]);
+    (*x)->p[before->n[0]] = value;
 }
 
 double *nd_write(double *to, nd x) {
-    if (x.rank < 0) return to;
-    if (is_compact(x)) return (double *)memcpy(to, x.p, sizeof(double) * (size_t)nd_size(x)) + nd_size(x);
-    nd compact = x;
+    if (!x) return to;
+    if (is_compact(x)) return (double *)memcpy(to, x->p, sizeof(double) * (size_t)nd_size(x)) + nd_size(x);
+    nd_array compact = *x;
     compact.p = to;
-    for (int i = x.rank - 1, s = 1; i >= 0; s *= x.n[i--]) compact.s[i] = s;
-    nd_put(compact, x);
+    for (int i = x->rank - 1, s = 1; i >= 0; s *= x->n[i--]) compact.s[i] = s;
+    nd_put(&compact, x);
     return to + nd_size(x);
 }
 
 const double *nd_read(const double *from, nd x) {
-    if (x.rank < 0) return from;
-    memcpy(x.p, from, sizeof(double) * (size_t)nd_size(x));
+    if (!x) return from;
+    memcpy(x->p, from, sizeof(double) * (size_t)nd_size(x));
     return from + nd_size(x);
 }
 
@@ -401,54 +424,55 @@ int nd_integer(double x) { return x >= -1e9 && x <= 1e9 ? (int)x : -1; }
 
 /* -- forms */
 
-nd nd_transposed(nd x) {
-    nd r = x;
-    for (int i = 0; i < x.rank; i++) r.n[i] = x.n[x.rank - 1 - i], r.s[i] = x.s[x.rank - 1 - i];
+nd nd_transposed(nd_arena *a, nd x) {
+    nd r = stored(a, *x);
+    for (int i = 0; i < x->rank; i++) r->n[i] = x->n[x->rank - 1 - i], r->s[i] = x->s[x->rank - 1 - i];
     return r;
 }
 
-nd nd_permuted(nd x, const int *axes) {
-    nd r = x;
-    for (int i = 0; i < x.rank; i++) r.n[i] = x.n[axes[i]], r.s[i] = x.s[axes[i]];
+nd nd_permuted(nd_arena *a, nd x, const int *axes) {
+    nd r = stored(a, *x);
+    for (int i = 0; i < x->rank; i++) r->n[i] = x->n[axes[i]], r->s[i] = x->s[axes[i]];
     return r;
 }
 
 nd nd_reshape(nd_arena *a, nd x, int rank, const int *n) {
     int known = 1, size = nd_size(x);
-    nd r = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
+    nd_array r = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
     for (int i = 0; i < rank; i++) known *= n[i] < 0 ? 1 : n[i];
     for (int i = rank - 1, s = 1; i >= 0; i--) {
         r.n[i] = n[i] < 0 ? (known ? size / known : 0) : n[i];
         r.s[i] = s;
         s *= r.n[i];
     }
-    r.p = (is_compact(x) ? x : nd_copy(a, x)).p;
-    return r;
+    r.p = (is_compact(x) ? x : nd_copy(a, x))->p;
+    return stored(a, r);
 }
 
 nd nd_concatenate(nd_arena *a, int axis, int count, const nd *x) {
-    nd r = x[0];
+    nd_array like = *x[0];
     int at = 0;
-    r.n[axis] = 0;
-    for (int i = 0; i < count; i++) r.n[axis] += x[i].n[axis];
-    r = nd_new(a, r.rank, r.n);
-    for (int i = 0; i < count; at += x[i].n[axis], i++) {
+    like.n[axis] = 0;
+    for (int i = 0; i < count; i++) like.n[axis] += x[i]->n[axis];
+    nd r = nd_new(a, like.rank, like.n);
+    for (int i = 0; i < count; at += x[i]->n[axis], i++) {
         nd_ix where[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
-        where[axis] = (nd_ix){ND_RANGE, at, at + x[i].n[axis]};
-        nd_put(nd_get(r, axis + 1, where), x[i]);
+        where[axis] = (nd_ix){ND_RANGE, at, at + x[i]->n[axis]};
+        nd_array to = part_of(r, axis + 1, where);
+        nd_put(&to, x[i]);
     }
     return r;
 }
 
-nd nd_hstack(nd_arena *a, int count, const nd *x) { return nd_concatenate(a, x[0].rank == 1 ? 0 : 1, count, x); }
+nd nd_hstack(nd_arena *a, int count, const nd *x) { return nd_concatenate(a, x[0]->rank == 1 ? 0 : 1, count, x); }
 
-static nd as_row(nd x) { return x.rank == 1 ? nd_get(x, 2, (nd_ix[]){{ND_NEW, 0, 0}, all_of()}) : x; }
+static nd_array as_row(nd x) { return x->rank == 1 ? part_of(x, 2, (nd_ix[]){{ND_NEW, 0, 0}, all_of()}) : *x; }
 
-static nd as_column(nd x) { return x.rank == 1 ? nd_get(x, 2, (nd_ix[]){all_of(), {ND_NEW, 0, 0}}) : x; }
+static nd_array as_column(nd x) { return x->rank == 1 ? part_of(x, 2, (nd_ix[]){all_of(), {ND_NEW, 0, 0}}) : *x; }
 
-static nd stacked(nd_arena *a, int axis, int count, const nd *x, nd (*form)(nd)) {
+static nd stacked(nd_arena *a, int axis, int count, const nd *x, nd_array (*form)(nd)) {
     nd *forms = nd_take_bytes(a, sizeof(nd) * (size_t)count);
-    for (int i = 0; i < count; i++) forms[i] = form(x[i]);
+    for (int i = 0; i < count; i++) forms[i] = stored(a, form(x[i]));
     return nd_concatenate(a, axis, count, forms);
 }
 
@@ -457,13 +481,13 @@ nd nd_vstack(nd_arena *a, int count, const nd *x) { return stacked(a, 0, count, 
 nd nd_column_stack(nd_arena *a, int count, const nd *x) { return stacked(a, 1, count, x, as_column); }
 
 nd nd_stack(nd_arena *a, int count, const nd *x) {
-    nd r = {NULL, 1, {count, 1, 1, 1}, {1, 1, 1, 1}};
-    if (count) {
-        r.rank = x[0].rank + 1;
-        for (int i = 0; i < x[0].rank; i++) r.n[i + 1] = x[0].n[i];
+    int n[ND_RANK] = {count, 1, 1, 1}, rank = 1;
+    for (; count && rank <= x[0]->rank; rank++) n[rank] = x[0]->n[rank - 1];
+    nd r = nd_new(a, rank, n);
+    for (int i = 0; i < count; i++) {
+        nd_array to = row_of(r, i);
+        nd_put(&to, x[i]);
     }
-    r = nd_new(a, r.rank, r.n);
-    for (int i = 0; i < count; i++) nd_put(nd_row(r, i), x[i]);
     return r;
 }
 
@@ -475,31 +499,32 @@ nd nd_block2(nd_arena *a, nd x, nd y, nd z, nd w) {
 }
 
 nd nd_tile(nd_arena *a, nd x, int times) {
-    nd r = x;
-    r.n[0] = x.n[0] * times;
-    r = nd_new(a, x.rank, r.n);
-    double *to = r.p;
+    nd_array like = *x;
+    like.n[0] = x->n[0] * times;
+    nd r = nd_new(a, x->rank, like.n);
+    double *to = r->p;
     for (int i = 0; i < times; i++) to = nd_write(to, x);
     return r;
 }
 
 nd nd_delete(nd_arena *a, nd x, int i) {
     nd parts[2];
-    parts[0] = nd_get(x, 1, (nd_ix[]){{ND_RANGE, 0, i}});
-    parts[1] = nd_get(x, 1, (nd_ix[]){{ND_RANGE, i + 1, ND_END}});
+    parts[0] = nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, 0, i}});
+    parts[1] = nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, i + 1, ND_END}});
     return nd_concatenate(a, 0, 2, parts);
 }
 
 nd nd_diag(nd_arena *a, nd x) {
     nd r;
-    if (x.rank == 2) return (nd){x.p, 1, {nd_imin2(x.n[0], x.n[1]), 1, 1, 1}, {x.s[0] + x.s[1], 1, 1, 1}};
-    r = nd_full(a, 2, (int[]){x.n[0], x.n[0]}, 0.0);
+    if (x->rank == 2)
+        return stored(a, (nd_array){x->p, 1, {nd_imin2(x->n[0], x->n[1]), 1, 1, 1}, {x->s[0] + x->s[1], 1, 1, 1}});
+    r = nd_full(a, 2, (int[]){x->n[0], x->n[0]}, 0.0);
     nd_fill_diagonal(r, x);
     return r;
 }
 
 void nd_fill_diagonal(nd x, nd values) {
-    for (int i = 0; i < nd_imin2(x.n[0], x.n[1]); i++) x.p[i * (x.s[0] + x.s[1])] = nd_at(values, i);
+    for (int i = 0; i < nd_imin2(x->n[0], x->n[1]); i++) x->p[i * (x->s[0] + x->s[1])] = nd_at(values, i);
 }
 
 /* -- entry by entry */
@@ -538,9 +563,9 @@ static void binary_row(int op, int n, double *r, const double *x, int sx, const 
 }
 
 static bool same_shape(nd x, nd y) {
-    if (x.rank != y.rank) return false;
-    for (int i = 0; i < x.rank; i++)
-        if (x.n[i] != y.n[i]) return false;
+    if (x->rank != y->rank) return false;
+    for (int i = 0; i < x->rank; i++)
+        if (x->n[i] != y->n[i]) return false;
     return true;
 }
 
@@ -558,17 +583,16 @@ static bool same_shape(nd x, nd y) {
         break;
 
 nd nd_binary(nd_arena *a, int op, nd x, nd y) {
-    nd r = x.rank >= y.rank ? x : y;
-    if ((x.rank == 0 || is_compact(x)) && (y.rank == 0 || is_compact(y)) && (x.rank == 0 || y.rank == 0 || same_shape(x, y))) {
-        r = nd_new(a, r.rank, r.n);
-        binary_row(op, nd_size(r), r.p, x.p, x.rank > 0, y.p, y.rank > 0);
+    nd like = x->rank >= y->rank ? x : y, r;
+    if ((x->rank == 0 || is_compact(x)) && (y->rank == 0 || is_compact(y)) && (x->rank == 0 || y->rank == 0 || same_shape(x, y))) {
+        r = nd_new(a, like->rank, like->n);
+        binary_row(op, nd_size(r), r->p, x->p, x->rank > 0, y->p, y->rank > 0);
         return r;
     }
     shape4 sx4 = shape_of(x), sy4 = shape_of(y), o;
     int sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
     for (int i = 0; i < ND_RANK; i++) o.n[i] = sx4.n[i] == 1 ? sy4.n[i] : sx4.n[i];
-    for (int i = 0; i < r.rank; i++) r.n[i] = o.n[i + ND_RANK - r.rank];
-    r = nd_new(a, r.rank, r.n);
+    r = nd_new(a, like->rank, o.n + ND_RANK - like->rank);
     strides_over(r, &o, sr);
     strides_over(x, &o, sx);
     strides_over(y, &o, sy);
@@ -582,17 +606,25 @@ nd nd_binary(nd_arena *a, int op, nd x, nd y) {
     return r;
 }
 
+static nd_array alone(const double *x) {
+    nd_array view = nd_around(1, x);
+    view.rank = 0;
+    return view;
+}
+
 nd nd_binary_xn(nd_arena *a, int op, nd x, double y) {
-    return nd_binary(a, op, x, (nd){&y, 0, {1, 1, 1, 1}, {1, 1, 1, 1}});
+    nd_array number = alone(&y);
+    return nd_binary(a, op, x, &number);
 }
 
 nd nd_binary_nx(nd_arena *a, int op, double x, nd y) {
-    return nd_binary(a, op, (nd){&x, 0, {1, 1, 1, 1}, {1, 1, 1, 1}}, y);
+    nd_array number = alone(&x);
+    return nd_binary(a, op, &number, y);
 }
 
 nd nd_map(nd_arena *a, double (*f)(double), nd x) {
     nd r = nd_copy(a, x);
-    for (int i = 0, size = nd_size(r); i < size; i++) r.p[i] = f(r.p[i]);
+    for (int i = 0, size = nd_size(r); i < size; i++) r->p[i] = f(r->p[i]);
     return r;
 }
 
@@ -647,8 +679,8 @@ double nd_reduced(int op, nd x) {
     shape4 o;
     int s[ND_RANK];
     double r = start_of(op);
-    if (x.rank == 1) {
-        for (int i = 0; i < x.n[0]; i++) r = more_of(op, r, x.p[i * x.s[0]]);
+    if (x->rank == 1) {
+        for (int i = 0; i < x->n[0]; i++) r = more_of(op, r, x->p[i * x->s[0]]);
         return op == ND_NORM ? sqrt(r) : r;
     }
     o = shape_of(x);
@@ -661,36 +693,35 @@ double nd_reduced(int op, nd x) {
 }
 
 nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
-    nd r = x, last, rest;
+    nd_array like = *x;
     int sr[ND_RANK], sl[ND_RANK], steps;
     shape4 o;
-    if (axis < 0) axis += x.rank;
-    for (int i = axis; i + 1 < x.rank; i++) r.n[i] = x.n[i + 1];
-    r = nd_full(a, x.rank - 1, r.n, start_of(op));
-    if (x.rank == 2) {
-        for (int i = 0; i < r.n[0]; i++) {
-            const double *from = x.p + i * x.s[1 - axis];
-            double so_far = r.p[i];
-            for (int k = 0; k < x.n[axis]; k++) so_far = more_of(op, so_far, from[k * x.s[axis]]);
-            r.p[i] = op == ND_NORM ? sqrt(so_far) : so_far;
+    if (axis < 0) axis += x->rank;
+    for (int i = axis; i + 1 < x->rank; i++) like.n[i] = x->n[i + 1];
+    nd r = nd_full(a, x->rank - 1, like.n, start_of(op));
+    if (x->rank == 2) {
+        for (int i = 0; i < r->n[0]; i++) {
+            const double *from = x->p + i * x->s[1 - axis];
+            double so_far = r->p[i];
+            for (int k = 0; k < x->n[axis]; k++) so_far = more_of(op, so_far, from[k * x->s[axis]]);
+            r->p[i] = op == ND_NORM ? sqrt(so_far) : so_far;
         }
         return r;
     }
-    rest = r;
     o = shape_of(r);
-    steps = x.n[axis];
+    steps = x->n[axis];
     for (int k = 0; k < steps; k++) {
-        last = slot(x, axis, k);
-        strides_over(rest, &o, sr);
-        strides_over(last, &o, sl);
+        nd_array last = slot(x, axis, k);
+        strides_over(r, &o, sr);
+        strides_over(&last, &o, sl);
         ND_LOOP3(o) {
             double *to = ND_ROW(r, sr);
-            const double *from = ND_ROW(last, sl);
+            const double *from = ND_ROW(&last, sl);
             for (int i = 0; i < o.n[3]; i++) to[i] = more_of(op, to[i], from[i * sl[3]]);
         }
     }
     if (op == ND_NORM)
-        for (int i = 0, size = nd_size(r); i < size; i++) r.p[i] = sqrt(r.p[i]);
+        for (int i = 0, size = nd_size(r); i < size; i++) r->p[i] = sqrt(r->p[i]);
     return r;
 }
 
@@ -720,7 +751,7 @@ nd nd_lexsort(nd_arena *a, nd then, nd first) {
             double u = nd_at(first, i), v = nd_at(first, j), s = nd_at(then, i), t = nd_at(then, j);
             place += v < u || (v == u && (t < s || (t == s && j < i)));
         }
-        order.p[place] = i;
+        order->p[place] = i;
     }
     return order;
 }
@@ -738,12 +769,12 @@ int nd_find(int n, const char *const *names, const char *name) {
 
 nd nd_cumsum(nd_arena *a, nd x) {
     nd r = nd_copy(a, x);
-    for (int i = 1; i < nd_len(r); i++) r.p[i] += r.p[i - 1];
+    for (int i = 1; i < nd_len(r); i++) r->p[i] += r->p[i - 1];
     return r;
 }
 
 nd nd_diff(nd_arena *a, nd x) {
-    return nd_binary(a, ND_SUB, nd_get(x, 1, (nd_ix[]){{ND_RANGE, 1, ND_END}}), nd_get(x, 1, (nd_ix[]){{ND_RANGE, 0, x.n[0] ? -1 : 0}}));
+    return nd_binary(a, ND_SUB, nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, 1, ND_END}}), nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, 0, x->n[0] ? -1 : 0}}));
 }
 
 int nd_searchsorted_right(nd x, double value) {
@@ -790,43 +821,43 @@ static void multiply(double *r, int rows, int inner, int columns, const double *
 }
 
 nd nd_matmul(nd_arena *a, nd x, nd y) {
-    nd left = as_row(x), right = as_column(y), r;
+    nd_array left = as_row(x), right = as_column(y);
     int lm = left.rank - 2, rm = right.rank - 2; /* 1 with a batch of matrices */
     int rows = left.n[lm], inner = left.n[lm + 1], columns = right.n[rm + 1];
     if (lm || rm) {
         int count = lm ? left.n[0] : right.n[0];
-        r = nd_new(a, 3, (int[]){count, rows, columns});
+        nd r = nd_new(a, 3, (int[]){count, rows, columns});
         for (int i = 0; i < count; i++)
-            multiply(r.p + i * rows * columns, rows, inner, columns, left.p + (lm ? i * left.s[0] : 0), left.s + lm,
+            multiply(r->p + i * rows * columns, rows, inner, columns, left.p + (lm ? i * left.s[0] : 0), left.s + lm,
                      right.p + (rm ? i * right.s[0] : 0), right.s + rm);
         return r;
     }
-    r = nd_new(a, 2, (int[]){rows, columns});
-    multiply(r.p, rows, inner, columns, left.p, left.s, right.p, right.s);
-    if (y.rank == 1) r.rank--;
-    else if (x.rank == 1) r.rank--, r.n[0] = r.n[1], r.s[0] = 1;
-    if (x.rank == 1 && y.rank == 1) r.rank = 0;
+    nd r = nd_new(a, 2, (int[]){rows, columns});
+    multiply(r->p, rows, inner, columns, left.p, left.s, right.p, right.s);
+    if (y->rank == 1) r->rank--;
+    else if (x->rank == 1) r->rank--, r->n[0] = r->n[1], r->s[0] = 1;
+    if (x->rank == 1 && y->rank == 1) r->rank = 0;
     return r;
 }
 
 nd nd_tensordot1(nd_arena *a, nd x, nd y) {
-    int inner = y.n[0], n[ND_RANK], rank = 0;
+    int inner = y->n[0], n[ND_RANK], rank = 0;
     nd product = nd_matmul(a, nd_reshape(a, x, 2, (int[]){-1, inner}), nd_reshape(a, y, 2, (int[]){inner, -1}));
-    for (int i = 0; i < x.rank - 1; i++) n[rank++] = x.n[i];
-    for (int i = 1; i < y.rank; i++) n[rank++] = y.n[i];
+    for (int i = 0; i < x->rank - 1; i++) n[rank++] = x->n[i];
+    for (int i = 1; i < y->rank; i++) n[rank++] = y->n[i];
     return nd_reshape(a, product, rank, n);
 }
 
 nd nd_rhk_hkj(nd_arena *a, nd x, nd y) {
-    int rows = x.n[0], count = x.n[1], inner = x.n[2], columns = y.n[2];
+    int rows = x->n[0], count = x->n[1], inner = x->n[2], columns = y->n[2];
     nd r = nd_full(a, 3, (int[]){rows, count, columns}, 0.0);
-    double *to = r.p;
+    double *to = r->p;
     for (int i = 0; i < rows; i++)
         for (int h = 0; h < count; h++, to += columns)
             for (int k = 0; k < inner; k++) {
-                double u = x.p[i * x.s[0] + h * x.s[1] + k * x.s[2]];
-                const double *from = y.p + h * y.s[0] + k * y.s[1];
-                for (int j = 0; j < columns; j++) to[j] += u * from[j * y.s[2]];
+                double u = x->p[i * x->s[0] + h * x->s[1] + k * x->s[2]];
+                const double *from = y->p + h * y->s[0] + k * y->s[1];
+                for (int j = 0; j < columns; j++) to[j] += u * from[j * y->s[2]];
             }
     return r;
 }

@@ -1,7 +1,8 @@
 /* Dense arrays of doubles in a block of memory, as far as the runtime uses NumPy: what translated code stands on.
 
    An array is a view: a pointer, and for each axis a length and a stride. Slices and transposes share memory with what
-   they were taken from, as in NumPy. All memory comes from one block, in order; a function gives back what it took when
+   they were taken from, as in NumPy. Code hands on the address of a view, which lies in the block too: that keeps the
+   calls short. A view comes with or behind its numbers. All memory comes from one block, in order; a function gives back what it took when
    it returns, but for its result (`nd_keep`). A method that finds no answer sets the error of the block, which translated
    code looks at after each call that can fail. A block that is too small ends the call of the outermost function: its
    owner sets `full`. */
@@ -21,10 +22,11 @@
 
 typedef struct {
     double *p;
-    int rank; /* -1: there is no array */
+    int rank;
     int n[ND_RANK];
     int s[ND_RANK]; /* in numbers, not in bytes */
-} nd;
+} nd_array;
+typedef nd_array *nd; /* NULL: there is no array */
 
 typedef struct {
     char *base;
@@ -71,14 +73,14 @@ void nd_keep_array(nd_keeping *k, nd *x);
 nd nd_keep(nd_arena *a, size_t mark, nd x);
 
 /* -- making arrays */
-extern const nd nd_none;
 nd nd_new(nd_arena *a, int rank, const int *n); /* not initialised */
 nd nd_full(nd_arena *a, int rank, const int *n, double value);
 nd nd_full_like(nd_arena *a, nd x, double value);
 nd nd_scalar(nd_arena *a, double value);
 nd nd_vector(nd_arena *a, int n, const double *values);
-nd nd_view(int n, double *values);
-nd nd_view_of(int n, const double *values); /* that nobody changes */
+nd nd_view(nd_arena *a, int n, double *values);
+nd nd_view_of(nd_arena *a, int n, const double *values); /* that nobody changes */
+nd_array nd_around(int n, const double *values);         /* such a view in the caller's memory */
 nd nd_eye(nd_arena *a, int rows, int columns, int k);
 nd nd_tri(nd_arena *a, int n);
 nd nd_copy(nd_arena *a, nd x);
@@ -97,9 +99,9 @@ double nd_item(nd x);
 double nd_at(nd x, int i);
 double nd_at2(nd x, int i, int j);
 void nd_set(nd x, int i, double value);
-nd nd_get(nd x, int count, const nd_ix *at);
-nd nd_reversed(nd x); /* along the first axis */
-nd nd_row(nd x, int i);
+nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at);
+nd nd_reversed(nd_arena *a, nd x); /* along the first axis */
+nd nd_row(nd_arena *a, nd x, int i);
 void nd_put(nd x, nd value);
 void nd_put_number(nd x, double value);
 nd nd_take(nd_arena *a, nd x, nd indices, int axis);
@@ -118,8 +120,8 @@ int nd_truncated(nd_arena *a, double x); /* int(x), an error where x is not fini
 int nd_integer(double x); /* of a number from outside: -1 where it is none */
 
 /* -- forms */
-nd nd_transposed(nd x);
-nd nd_permuted(nd x, const int *axes);
+nd nd_transposed(nd_arena *a, nd x);
+nd nd_permuted(nd_arena *a, nd x, const int *axes);
 nd nd_reshape(nd_arena *a, nd x, int rank, const int *n); /* one length may be -1 */
 nd nd_concatenate(nd_arena *a, int axis, int count, const nd *x);
 nd nd_hstack(nd_arena *a, int count, const nd *x);

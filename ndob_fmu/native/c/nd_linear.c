@@ -13,8 +13,8 @@ static const double PI = 3.14159265358979323846;
 static bool is_finite(double x) { return fabs(x) <= DBL_MAX; }
 
 static bool all_finite(nd x) {
-    for (int i = 0; i < x.n[0]; i++)
-        for (int j = 0; j < x.n[1]; j++)
+    for (int i = 0; i < x->n[0]; i++)
+        for (int j = 0; j < x->n[1]; j++)
             if (!is_finite(nd_at2(x, i, j))) return false;
     return true;
 }
@@ -26,9 +26,9 @@ static nd failed(nd_arena *a, nd like) {
 
 double nd_norm1(nd x) {
     double largest = 0.0;
-    for (int j = 0; j < x.n[1]; j++) {
+    for (int j = 0; j < x->n[1]; j++) {
         double sum = 0.0;
-        for (int i = 0; i < x.n[0]; i++) sum += fabs(nd_at2(x, i, j));
+        for (int i = 0; i < x->n[0]; i++) sum += fabs(nd_at2(x, i, j));
         if (sum > largest || sum != sum) largest = sum;
     }
     return largest;
@@ -37,9 +37,9 @@ double nd_norm1(nd x) {
 /* -- Gauss with partial pivoting */
 
 nd nd_solve(nd_arena *a, nd A, nd B) {
-    int n = A.n[0], columns = B.rank == 1 ? 1 : B.n[1];
+    int n = A->n[0], columns = B->rank == 1 ? 1 : B->n[1];
     nd L = nd_copy(a, A), X = nd_copy(a, B);
-    double *l = L.p, *x = X.p;
+    double *l = L->p, *x = X->p;
     for (int k = 0; k < n; k++) {
         int best = k;
         for (int i = k + 1; i < n; i++)
@@ -71,7 +71,7 @@ nd nd_solve(nd_arena *a, nd A, nd B) {
     return X;
 }
 
-nd nd_inv(nd_arena *a, nd A) { return nd_solve(a, A, nd_eye(a, A.n[0], A.n[0], 0)); }
+nd nd_inv(nd_arena *a, nd A) { return nd_solve(a, A, nd_eye(a, A->n[0], A->n[0], 0)); }
 
 /* -- Householder's reflections, with LAPACK's signs */
 
@@ -111,16 +111,16 @@ static void reflect(double *x, const double *v, int n, double tau) {
 
 /* The reflections work on rows, which lie together in memory. */
 nd nd_triangular(nd_arena *a, nd rows) {
-    int m = rows.n[0], n = rows.n[1];
+    int m = rows->n[0], n = rows->n[1];
     nd T = nd_full(a, 2, (int[]){m, m}, 0.0);
     size_t mark = a->used;
     nd X = nd_copy(a, rows);
     for (int k = 0; k < m && k < n; k++) {
-        double tau, *v = X.p + k * n + k, diagonal = reflection(v, n - k, &tau);
+        double tau, *v = X->p + k * n + k, diagonal = reflection(v, n - k, &tau);
         if (tau != 0.0)
-            for (int i = k + 1; i < m; i++) reflect(X.p + i * n + k, v, n - k, tau);
-        T.p[k * m + k] = diagonal;
-        for (int i = k + 1; i < m; i++) T.p[i * m + k] = X.p[i * n + k];
+            for (int i = k + 1; i < m; i++) reflect(X->p + i * n + k, v, n - k, tau);
+        T->p[k * m + k] = diagonal;
+        for (int i = k + 1; i < m; i++) T->p[i * m + k] = X->p[i * n + k];
     }
     a->used = mark;
     return T;
@@ -128,22 +128,22 @@ nd nd_triangular(nd_arena *a, nd rows) {
 
 /* The first `count` columns of the orthogonal factor of A (m,n), as rows. */
 static nd orthogonal_rows(nd_arena *a, nd A, int count) {
-    int m = A.n[0], n = A.n[1], k = m < n ? m : n;
+    int m = A->n[0], n = A->n[1], k = m < n ? m : n;
     nd Q = nd_eye(a, count, m, 0);
     size_t mark = a->used;
-    nd X = nd_copy(a, nd_transposed(A)), tau = nd_full(a, 1, &k, 0.0);
+    nd X = nd_copy(a, nd_transposed(a, A)), tau = nd_full(a, 1, &k, 0.0);
     for (int c = 0; c < k; c++) {
-        double *v = X.p + c * m + c;
-        (void)reflection(v, m - c, tau.p + c);
-        for (int i = c + 1; i < n; i++) reflect(X.p + i * m + c, v, m - c, tau.p[c]);
+        double *v = X->p + c * m + c;
+        (void)reflection(v, m - c, tau->p + c);
+        for (int i = c + 1; i < n; i++) reflect(X->p + i * m + c, v, m - c, tau->p[c]);
     }
     for (int c = k - 1; c >= 0; c--)
-        for (int i = 0; i < count; i++) reflect(Q.p + i * m + c, X.p + c * m + c, m - c, tau.p[c]);
+        for (int i = 0; i < count; i++) reflect(Q->p + i * m + c, X->p + c * m + c, m - c, tau->p[c]);
     a->used = mark;
     return Q;
 }
 
-nd nd_qr_q(nd_arena *a, nd A) { return nd_transposed(orthogonal_rows(a, A, nd_imin2(A.n[0], A.n[1]))); }
+nd nd_qr_q(nd_arena *a, nd A) { return nd_transposed(a, orthogonal_rows(a, A, nd_imin2(A->n[0], A->n[1]))); }
 
 /* -- Jacobi's rotations */
 
@@ -162,25 +162,25 @@ static void rotate(double *x, double *y, int n, double c, double s) {
 
 /* Rotate the rows of X (k,m) until they are orthogonal; V (k,k) collects the rotations. Returns whether they are. */
 static bool orthogonalise(nd X, nd V) {
-    int k = X.n[0], m = X.n[1];
+    int k = X->n[0], m = X->n[1];
     double least = DBL_EPSILON * m; /* what rounding leaves of the product of two rows */
     double nothing = 0.0;           /* the square of a row that is zero but for rounding */
     for (int i = 0; i < k; i++) {
         double sum = 0.0;
-        for (int l = 0; l < m; l++) sum += X.p[i * m + l] * X.p[i * m + l];
+        for (int l = 0; l < m; l++) sum += X->p[i * m + l] * X->p[i * m + l];
         if (sum * 1e-60 > nothing) nothing = sum * 1e-60;
     }
     for (int sweep = 0; sweep < ND_SWEEPS; sweep++) {
         bool turned = false;
         for (int i = 0; i < k; i++)
             for (int j = i + 1; j < k; j++) {
-                double *x = X.p + i * m, *y = X.p + j * m, alpha = 0.0, beta = 0.0, gamma = 0.0, c, s;
+                double *x = X->p + i * m, *y = X->p + j * m, alpha = 0.0, beta = 0.0, gamma = 0.0, c, s;
                 for (int l = 0; l < m; l++) alpha += x[l] * x[l], beta += y[l] * y[l], gamma += x[l] * y[l];
                 if (alpha <= nothing || beta <= nothing) continue;
                 if (!(fabs(gamma) > least * sqrt(alpha) * sqrt(beta))) continue;
                 rotation(alpha, beta, gamma, &c, &s);
                 rotate(x, y, m, c, s);
-                rotate(V.p + i * k, V.p + j * k, k, c, s);
+                rotate(V->p + i * k, V->p + j * k, k, c, s);
                 turned = true;
             }
         if (!turned) return true;
@@ -190,15 +190,15 @@ static bool orthogonalise(nd X, nd V) {
 
 /* A = U diag(s) Vt with s falling; `full`: square U and Vt. */
 nd_three nd_svd(nd_arena *a, nd A, bool full) {
-    int m = A.n[0], n = A.n[1], k = nd_imin2(m, n), rows;
+    int m = A->n[0], n = A->n[1], k = nd_imin2(m, n), rows;
     nd X, V, S, U, Vt, sizes, taken;
     double scale = 0.0;
     if (m < n) {
-        nd_three t = nd_svd(a, nd_transposed(A), full);
-        return (nd_three){nd_transposed(t.v2), t.v1, nd_transposed(t.v0)};
+        nd_three t = nd_svd(a, nd_transposed(a, A), full);
+        return (nd_three){nd_transposed(a, t.v2), t.v1, nd_transposed(a, t.v0)};
     }
     /* The columns of A, as rows; scaled, so that no square leaves the range of numbers. */
-    X = nd_copy(a, nd_transposed(A));
+    X = nd_copy(a, nd_transposed(a, A));
     V = nd_eye(a, n, n, 0);
     S = nd_full(a, 1, &k, 0.0);
     rows = full ? m : k;
@@ -206,46 +206,46 @@ nd_three nd_svd(nd_arena *a, nd A, bool full) {
     Vt = nd_full(a, 2, (int[]){n, n}, 0.0);
     if (!all_finite(A)) {
         (void)failed(a, A);
-        return (nd_three){nd_transposed(U), S, Vt};
+        return (nd_three){nd_transposed(a, U), S, Vt};
     }
     for (int i = 0; i < n * m; i++)
-        if (fabs(X.p[i]) > scale) scale = fabs(X.p[i]);
+        if (fabs(X->p[i]) > scale) scale = fabs(X->p[i]);
     if (scale > 0.0)
-        for (int i = 0; i < n * m; i++) X.p[i] /= scale;
+        for (int i = 0; i < n * m; i++) X->p[i] /= scale;
     if (!orthogonalise(X, V)) (void)failed(a, A);
     sizes = nd_full(a, 1, &n, 0.0);
     taken = nd_full(a, 1, &n, 0.0);
     for (int i = 0; i < n; i++) {
         double sum = 0.0;
-        for (int l = 0; l < m; l++) sum += X.p[i * m + l] * X.p[i * m + l];
-        sizes.p[i] = sqrt(sum);
+        for (int l = 0; l < m; l++) sum += X->p[i * m + l] * X->p[i * m + l];
+        sizes->p[i] = sqrt(sum);
     }
     int rank = 0;
     for (int i = 0; i < n; i++) {
         int best = -1;
         for (int j = 0; j < n; j++)
-            if (taken.p[j] == 0.0 && (best < 0 || sizes.p[j] > sizes.p[best])) best = j;
-        taken.p[best] = 1.0;
-        S.p[i] = sizes.p[best] * scale;
-        memcpy(Vt.p + i * n, V.p + best * n, sizeof(double) * (size_t)n);
-        if (sizes.p[best] > DBL_EPSILON * m * sizes.p[0] * 1e-3 && sizes.p[best] > 0.0 && rank == i) {
-            for (int l = 0; l < m; l++) U.p[i * m + l] = X.p[best * m + l] / sizes.p[best];
+            if (taken->p[j] == 0.0 && (best < 0 || sizes->p[j] > sizes->p[best])) best = j;
+        taken->p[best] = 1.0;
+        S->p[i] = sizes->p[best] * scale;
+        memcpy(Vt->p + i * n, V->p + best * n, sizeof(double) * (size_t)n);
+        if (sizes->p[best] > DBL_EPSILON * m * sizes->p[0] * 1e-3 && sizes->p[best] > 0.0 && rank == i) {
+            for (int l = 0; l < m; l++) U->p[i * m + l] = X->p[best * m + l] / sizes->p[best];
             rank = i + 1;
         }
     }
     if (rank < rows) { /* directions that A does not reach: any that complete the basis */
-        nd known = nd_transposed(nd_get(U, 1, (nd_ix[]){{ND_RANGE, 0, rank}}));
+        nd known = nd_transposed(a, nd_get(a, U, 1, (nd_ix[]){{ND_RANGE, 0, rank}}));
         nd Q = orthogonal_rows(a, known, m);
-        nd_put(nd_get(U, 1, (nd_ix[]){{ND_RANGE, rank, rows}}), nd_get(Q, 1, (nd_ix[]){{ND_RANGE, rank, rows}}));
+        nd_put(nd_get(a, U, 1, (nd_ix[]){{ND_RANGE, rank, rows}}), nd_get(a, Q, 1, (nd_ix[]){{ND_RANGE, rank, rows}}));
     }
-    return (nd_three){nd_transposed(U), S, Vt};
+    return (nd_three){nd_transposed(a, U), S, Vt};
 }
 
 nd_two nd_eigh(nd_arena *a, nd A) {
-    int n = A.n[0];
+    int n = A->n[0];
     nd X = nd_copy(a, A), V = nd_eye(a, n, n, 0), w = nd_full(a, 1, &n, 0.0), sorted = nd_full(a, 2, (int[]){n, n}, 0.0);
     bool done = false;
-    double *x = X.p;
+    double *x = X->p;
     for (int sweep = 0; sweep < ND_SWEEPS && !done; sweep++) {
         done = true;
         for (int i = 0; i < n; i++)
@@ -259,7 +259,7 @@ nd_two nd_eigh(nd_arena *a, nd A) {
                     x[k * n + i] = c * u - s * v, x[k * n + j] = s * u + c * v;
                 }
                 x[i * n + j] = x[j * n + i] = 0.0;
-                rotate(V.p + i * n, V.p + j * n, n, c, s);
+                rotate(V->p + i * n, V->p + j * n, n, c, s);
                 done = false;
             }
     }
@@ -267,15 +267,15 @@ nd_two nd_eigh(nd_arena *a, nd A) {
     for (int i = 0; i < n; i++) {
         int place = 0;
         for (int j = 0; j < n; j++) place += x[j * n + j] < x[i * n + i] || (x[j * n + j] == x[i * n + i] && j < i);
-        w.p[place] = x[i * n + i];
-        memcpy(sorted.p + place * n, V.p + i * n, sizeof(double) * (size_t)n);
+        w->p[place] = x[i * n + i];
+        memcpy(sorted->p + place * n, V->p + i * n, sizeof(double) * (size_t)n);
     }
-    return (nd_two){w, nd_transposed(sorted)};
+    return (nd_two){w, nd_transposed(a, sorted)};
 }
 
 double nd_norm2(nd_arena *a, nd x) {
     nd_three t = nd_svd(a, x, false);
-    return nd_size(t.v1) ? t.v1.p[0] : 0.0;
+    return nd_size(t.v1) ? t.v1->p[0] : 0.0;
 }
 
 double nd_cond(nd_arena *a, nd x) {
@@ -286,21 +286,21 @@ double nd_cond(nd_arena *a, nd x) {
 static nd inverted(nd_arena *a, nd A, double part) {
     nd_three t = nd_svd(a, A, false);
     nd s = nd_copy(a, t.v1);
-    for (int i = 0; i < nd_len(s); i++) s.p[i] = t.v1.p[i] > part * t.v1.p[0] ? 1.0 / t.v1.p[i] : 0.0;
-    return nd_matmul(a, nd_binary(a, ND_MUL, nd_transposed(t.v2), s), nd_transposed(t.v0));
+    for (int i = 0; i < nd_len(s); i++) s->p[i] = t.v1->p[i] > part * t.v1->p[0] ? 1.0 / t.v1->p[i] : 0.0;
+    return nd_matmul(a, nd_binary(a, ND_MUL, nd_transposed(a, t.v2), s), nd_transposed(a, t.v0));
 }
 
 nd nd_pinv(nd_arena *a, nd A) { return inverted(a, A, 1e-15); }
 
 nd nd_lstsq(nd_arena *a, nd A, nd B) {
     nd_three t = nd_svd(a, A, false);
-    nd seen = nd_matmul(a, nd_transposed(t.v0), B), columns = B.rank == 1 ? nd_reshape(a, seen, 2, (int[]){-1, 1}) : seen, X;
-    double part = DBL_EPSILON * nd_imax2(A.n[0], A.n[1]);
-    for (int i = 0; i < columns.n[0]; i++)
-        for (int j = 0; j < columns.n[1]; j++)
-            columns.p[i * columns.s[0] + j * columns.s[1]] *= t.v1.p[i] > part * t.v1.p[0] ? 1.0 / t.v1.p[i] : 0.0;
-    X = nd_matmul(a, nd_transposed(t.v2), columns);
-    return B.rank == 1 ? nd_reshape(a, X, 1, (int[]){-1}) : X;
+    nd seen = nd_matmul(a, nd_transposed(a, t.v0), B), columns = B->rank == 1 ? nd_reshape(a, seen, 2, (int[]){-1, 1}) : seen, X;
+    double part = DBL_EPSILON * nd_imax2(A->n[0], A->n[1]);
+    for (int i = 0; i < columns->n[0]; i++)
+        for (int j = 0; j < columns->n[1]; j++)
+            columns->p[i * columns->s[0] + j * columns->s[1]] *= t.v1->p[i] > part * t.v1->p[0] ? 1.0 / t.v1->p[i] : 0.0;
+    X = nd_matmul(a, nd_transposed(a, t.v2), columns);
+    return B->rank == 1 ? nd_reshape(a, X, 1, (int[]){-1}) : X;
 }
 
 /* -- eigenvalues of a matrix that need not be symmetric: balanced, reduced to Hessenberg's form by reflections, then
@@ -362,12 +362,12 @@ static void two_by_two(double p, double q, double r, double s, double *re, doubl
 }
 
 nd_two nd_eigvals(nd_arena *a, nd A) {
-    int n = A.n[0], end = n - 1, tries = 0;
+    int n = A->n[0], end = n - 1, tries = 0;
     nd re = nd_full(a, 1, &n, 0.0), im = nd_full(a, 1, &n, 0.0), H = nd_copy(a, A), V = nd_full(a, 1, &n, 0.0);
-    double *h = H.p, v[3];
+    double *h = H->p, v[3];
     if (!all_finite(A)) return (nd_two){failed(a, re), im};
     balance(h, n);
-    to_hessenberg(h, n, V.p);
+    to_hessenberg(h, n, V->p);
     while (end >= 0) {
         int start = end;
         for (; start > 0; start--) {
@@ -378,12 +378,12 @@ nd_two nd_eigvals(nd_arena *a, nd A) {
             }
         }
         if (start == end) {
-            re.p[end] = ENTRY(end, end);
+            re->p[end] = ENTRY(end, end);
             end--, tries = 0;
             continue;
         }
         if (start == end - 1) {
-            two_by_two(ENTRY(start, start), ENTRY(start, end), ENTRY(end, start), ENTRY(end, end), re.p + start, im.p + start);
+            two_by_two(ENTRY(start, start), ENTRY(start, end), ENTRY(end, start), ENTRY(end, end), re->p + start, im->p + start);
             end -= 2, tries = 0;
             continue;
         }
@@ -424,8 +424,8 @@ nd_two nd_leggauss(nd_arena *a, int n) {
             slope = n * (z * here - before) / (z * z - 1.0);
             z -= here / slope;
         }
-        x.p[i] = z;
-        w.p[i] = 2.0 / ((1.0 - z * z) * slope * slope);
+        x->p[i] = z;
+        w->p[i] = 2.0 / ((1.0 - z * z) * slope * slope);
     }
     return (nd_two){x, w};
 }

@@ -33,6 +33,6 @@ nd nd_uniforms(nd_arena *a, int seed, double index) {
     }
     int four = 4;
     nd drawn = nd_new(a, 1, &four);
-    for (int i = 0; i < 4; i++) drawn.p[i] = (double)(c[i] >> 11) * 0x1p-53;
+    for (int i = 0; i < 4; i++) drawn->p[i] = (double)(c[i] >> 11) * 0x1p-53;
     return drawn;
 }

@@ -31,7 +31,7 @@ static int channel_start(Channelled *self, nd_arena *arena, const Equations *pla
 }
 
 /* An estimate of w as `write_estimate` has written it. */
-static Estimate estimate_of_lumped(const double *from) {
+static Estimate estimate_of_lumped(nd_arena *arena, const double *from) {
     Estimate w;
     struct {
         nd *part;
@@ -40,10 +40,10 @@ static Estimate estimate_of_lumped(const double *from) {
                  {&w.d_std, CHANNEL},        {&w.d_lagged, CHANNEL},     {&w.d_lagged_std, CHANNEL},
                  {&w.residual, OUTPUTS},     {&w.residual_std, OUTPUTS}};
     for (size_t i = 0; i < sizeof parts / sizeof *parts; from += parts[i++].count)
-        *parts[i].part = nd_view_of(parts[i].count, from);
+        *parts[i].part = nd_view_of(arena, parts[i].count, from);
     w.valid = from[0] != 0.0;
     w.consistency = from[1];
-    w.x_at_sample = nd_view_of(STATES, from + 2);
+    w.x_at_sample = nd_view_of(arena, STATES, from + 2);
     return w;
 }
 
@@ -51,11 +51,11 @@ static Estimate estimate_of_lumped(const double *from) {
  * goes on by H. Returns an error of nd.h. */
 static int channel_read(const Channelled *self, nd_arena *arena, const double *lumped, nd u, double H, double *state,
                         double *outputs) {
-    const Estimate w = estimate_of_lumped(lumped);
+    const Estimate w = estimate_of_lumped(arena, lumped);
     const double *values = state + 1 + self->kept;
-    LagMemory before = {nd_view_of(self->kept, state + 1), nd_view_of(self->kept * CHANNEL, values),
-                        nd_view_of(self->kept * CHANNEL, values + self->kept * CHANNEL)};
-    p2_Estimate_LagMemory read = ChannelReading_read(arena, &self->reading, &w, u, nd_view_of(1, state), &before);
+    LagMemory before = {nd_view_of(arena, self->kept, state + 1), nd_view_of(arena, self->kept * CHANNEL, values),
+                        nd_view_of(arena, self->kept * CHANNEL, values + self->kept * CHANNEL)};
+    p2_Estimate_LagMemory read = ChannelReading_read(arena, &self->reading, &w, u, nd_view_of(arena, 1, state), &before);
     double found[2 * STATES + 5 + 2 * OUTPUTS + 2];
     if (arena->error || !write_finite_estimate(arena, found, &read.v0)) return arena->error;
     memcpy(outputs, found, sizeof found - STATES * sizeof(double));

@@ -8,7 +8,7 @@ static nd clipped(nd_arena *arena, nd values, const double limits[][2], bool *in
     for (int i = 0; i < nd_len(values); i++) {
         double value = nd_at(values, i), low = limits[i][0], high = limits[i][1];
         if (!(low <= value && value <= high)) *inside = false;
-        found.p[i] = nd_min2(nd_max2(value, low), high);
+        found->p[i] = nd_min2(nd_max2(value, low), high);
     }
     return found;
 }
@@ -19,8 +19,8 @@ static nd moved(nd_arena *arena, int first, int stop, nd x, nd u, nd x_in, nd u_
     int size[] = {CONTINUED_STATES + CONTINUED_OUTPUTS, -1}, size_u[] = {size[0], CONTINUED_INPUTS};
     nd by_x = nd_reshape(arena, call_linearisation(arena, NULL, x_in, u_in, d, p), 2, size);
     nd by_u = nd_reshape(arena, call_input_slopes(arena, NULL, x_in, u_in, d, p), 2, size_u);
-    nd of_x = nd_matmul(arena, nd_get(by_x, 2, (nd_ix[]){rows, columns}), nd_binary(arena, ND_SUB, x, x_in));
-    nd of_u = nd_matmul(arena, nd_get(by_u, 1, &rows), nd_binary(arena, ND_SUB, u, u_in));
+    nd of_x = nd_matmul(arena, nd_get(arena, by_x, 2, (nd_ix[]){rows, columns}), nd_binary(arena, ND_SUB, x, x_in));
+    nd of_u = nd_matmul(arena, nd_get(arena, by_u, 1, &rows), nd_binary(arena, ND_SUB, u, u_in));
     return nd_binary(arena, ND_ADD, of_x, of_u);
 }
 

@@ -21,12 +21,13 @@ typedef struct {
 typedef struct {
     Controller controller;
     double values[PARAMETERS + INPUTS * STATES + INPUTS]; /* of the parameters, gains and limits */
-    nd_arena arena;
+    nd_arena arena, lasting;
+    double views[8 * sizeof(nd_array) / sizeof(double)]; /* of the parameters and of vectors of the equations */
     double memory[MEMORY / sizeof(double)];
 } Core;
 
-static Target target_of(const State *state) {
-    Target target = {nd_view_of(STATES, state->x), nd_view_of(INPUTS, state->u)};
+static Target target_of(nd_arena *arena, const State *state) {
+    Target target = {nd_view_of(arena, STATES, state->x), nd_view_of(arena, INPUTS, state->u)};
     return target;
 }
 
@@ -45,12 +46,13 @@ static void take_given(const Call *call, double given[GIVEN]) {
 static bool command_in_memory(const Job *job) {
     Core *core = job->call->core;
     State *state = job->call->state, after;
-    Target before = target_of(state);
+    Target before = target_of(&core->arena, state);
     take_given(job->call, after.given);
     const double *x_hat = after.given + INPUTS;
     p2_Target_nd done =
-        Controller_step(&core->arena, &core->controller, &before, nd_view_of(INPUTS, after.given),
-                        nd_view_of(STATES, x_hat), nd_view_of(DISTURBANCES, x_hat + STATES));
+        Controller_step(&core->arena, &core->controller, &before, nd_view_of(&core->arena, INPUTS, after.given),
+                        nd_view_of(&core->arena, STATES, x_hat),
+                        nd_view_of(&core->arena, DISTURBANCES, x_hat + STATES));
     if (core->arena.error) return fail(job->call, &core->arena, job->status, job->status == ERROR ? "start" : "step");
     double *saturated = nd_write(job->call->outputs, done.v1);
     *saturated = Controller_saturates(&core->arena, &core->controller, done.v1) ? 1.0 : 0.0;
@@ -72,7 +74,7 @@ static bool start_in_memory(const Job *job) {
 static bool possible_in_memory(const Job *job) {
     Core *core = job->call->core;
     const State *state = job->call->state;
-    Target target = target_of(state);
+    Target target = target_of(&core->arena, state);
     return Controller_possible(&core->arena, &core->controller, &target) && finite_numbers(state->given, GIVEN);
 }
 
@@ -82,15 +84,16 @@ static bool start(const Call *call, double time) {
     (void)time;
     memset(controller, 0, sizeof *controller);
     memcpy(core->values, call->values + FIRST_PARAMETER, sizeof core->values);
-    set_equations(&controller->equations);
-    controller->parameters = nd_view_of(PARAMETERS, core->values);
+    nd_start(&core->lasting, core->views, sizeof core->views);
+    set_equations(&controller->equations, &core->lasting);
+    controller->parameters = nd_view_of(&core->lasting, PARAMETERS, core->values);
     controller->regulated.n = INPUTS;
     controller->regulated.p = regulated;
-    controller->gain = nd_view_of(INPUTS * STATES, core->values + PARAMETERS);
-    controller->gain.rank = 2;
-    controller->gain.n[0] = INPUTS, controller->gain.n[1] = STATES;
-    controller->gain.s[0] = STATES, controller->gain.s[1] = 1;
-    controller->limit = nd_view_of(INPUTS, core->values + PARAMETERS + INPUTS * STATES);
+    controller->gain = nd_view_of(&core->lasting, INPUTS * STATES, core->values + PARAMETERS);
+    controller->gain->rank = 2;
+    controller->gain->n[0] = INPUTS, controller->gain->n[1] = STATES;
+    controller->gain->s[0] = STATES, controller->gain->s[1] = 1;
+    controller->limit = nd_view_of(&core->lasting, INPUTS, core->values + PARAMETERS + INPUTS * STATES);
     controller->compensation = call->values[AT_COMPENSATION] != 0.0;
     return IN_MEMORY(call, 0.0, 0.0, ERROR, start_in_memory);
 }

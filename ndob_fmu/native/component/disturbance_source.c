@@ -18,6 +18,7 @@ typedef struct {
     Generator generator;
     Noise noise;
     Profile profile;
+    nd_array views[2]; /* of the numbers of noise or profile */
     double rates[TONES], phases[TONES];
     double *rows; /* times, then values, of the profile */
     int kind;
@@ -132,8 +133,10 @@ static bool read_profile(const Call *call, Core *core) {
     free(text);
     if (good && !count) good = refuse_profile(call, "", "at least one row", "none", "");
     if (good) {
-        core->profile.times = nd_view_of((int)count, core->rows);
-        core->profile.values = nd_view_of((int)count, core->rows + most);
+        core->views[0] = nd_around((int)count, core->rows);
+        core->views[1] = nd_around((int)count, core->rows + most);
+        core->profile.times = &core->views[0];
+        core->profile.values = &core->views[1];
     }
     return good;
 }
@@ -167,8 +170,10 @@ static bool draw_in_memory(const Job *job) {
         core->rates[i] = nd_at(noise.rates, i);
         core->phases[i] = nd_at(noise.phases, i);
     }
-    noise.rates = nd_view_of(TONES, core->rates);
-    noise.phases = nd_view_of(TONES, core->phases);
+    core->views[0] = nd_around(TONES, core->rates);
+    core->views[1] = nd_around(TONES, core->phases);
+    noise.rates = &core->views[0];
+    noise.phases = &core->views[1];
     core->noise = noise;
     return true;
 }

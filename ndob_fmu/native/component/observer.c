@@ -38,7 +38,12 @@ static bool fail_in(const Call *call, const Core *core, int error, Status status
 
 #include <stdio.h>
 
-static nd values_at(const Call *call, int first, int count) { return nd_view_of(count, call->values + first); }
+static nd_array values_at(const Call *call, int first, int count) { return nd_around(count, call->values + first); }
+
+/* The same as a part of what lasts. */
+static nd lasting(const Call *call, nd_arena *memory, int first, int count) {
+    return nd_view_of(memory, count, call->values + first);
+}
 
 /* -- what is said of the parameters */
 
@@ -56,7 +61,7 @@ static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
     int count = 0;
     for (int i = 0; i < OUTPUTS; i++)
         if (nd_at(self->settings.sensors.bias_std, i) > 0.0) nd_set(biased, count++, i);
-    biased.n[0] = count;
+    biased->n[0] = count;
     if (!count) return;
     nd found = separability_inseparable_offsets(&self->scratch, &self->equations, self->parameters, x_hat, biased);
     for (int k = 0; !self->scratch.error && k < nd_len(found); k++) {
@@ -81,7 +86,7 @@ static void choose_estimated(const Call *call, Core *core, nd x_hat) {
         core->estimated[i] = wanted ? 1.0 : 0.0;
         if (wanted) nd_set(uncertain, count++, i);
     }
-    uncertain.n[0] = count;
+    uncertain->n[0] = count;
     if (!count) return;
     nd found = separability_inseparable_parameters(&self->scratch, &self->equations, self->parameters, x_hat,
                                                    self->settings.x_std, uncertain);
@@ -105,8 +110,9 @@ static void warn_of_pace(const Call *call, Core *core, double H) {
     char line[MESSAGE_SIZE];
     if (setjmp(self->full)) return;
     self->scratch.used = 0;
-    Pace pace = pace_pace_of(&self->scratch, &core->plant, self->parameters, values_at(call, AT_HAT_START, STATES),
-                             values_at(call, AT_BOUND, DISTURBANCES), values_at(call, AT_RATE, DISTURBANCES),
+    nd_array x_hat = values_at(call, AT_HAT_START, STATES), bound = values_at(call, AT_BOUND, DISTURBANCES);
+    nd_array rate = values_at(call, AT_RATE, DISTURBANCES);
+    Pace pace = pace_pace_of(&self->scratch, &core->plant, self->parameters, &x_hat, &bound, &rate,
                              self->settings.order);
     for (int i = 0; !self->scratch.error && i < DISTURBANCES; i++) {
         double omega = nd_at(pace.disturbance, i);
@@ -164,19 +170,20 @@ static void warn_of_ranges(const Call *call, Core *core) {
 static void take_settings(const Call *call, Core *core) {
     Sampled *self = &core->observer;
     ObserverSettings *settings = &self->settings;
-    set_equations(&self->equations);
-    self->parameters = values_at(call, AT_PARAMETERS, PARAMETERS);
+    nd_arena *memory = &self->lasting;
+    set_equations(&self->equations, &self->lasting);
+    self->parameters = lasting(call, memory, AT_PARAMETERS, PARAMETERS);
     settings->order = (int)call->values[AT_disturbance_order];
-    settings->sensors.noise_std = values_at(call, AT_NOISE_STD, OUTPUTS);
-    settings->sensors.delay = values_at(call, AT_DELAY, OUTPUTS);
-    settings->sensors.bias_std = values_at(call, AT_BIAS_STD, OUTPUTS);
-    settings->disturbance_bound = nd_view_of(LUMPED, core->bound);
-    settings->disturbance_nominal = nd_view_of(LUMPED, core->nominal);
-    settings->disturbance_rate = nd_view_of(LUMPED, core->rate);
-    settings->x_std = values_at(call, AT_HAT_START_STD, STATES);
-    settings->parameter_std = values_at(call, AT_PARAMETER_STD, PARAMETERS);
-    settings->state_noise = nd_view_of(STATES, noise_of_states);
-    settings->estimated = nd_view_of(PARAMETERS, core->estimated);
+    settings->sensors.noise_std = lasting(call, memory, AT_NOISE_STD, OUTPUTS);
+    settings->sensors.delay = lasting(call, memory, AT_DELAY, OUTPUTS);
+    settings->sensors.bias_std = lasting(call, memory, AT_BIAS_STD, OUTPUTS);
+    settings->disturbance_bound = nd_view_of(memory, LUMPED, core->bound);
+    settings->disturbance_nominal = nd_view_of(memory, LUMPED, core->nominal);
+    settings->disturbance_rate = nd_view_of(memory, LUMPED, core->rate);
+    settings->x_std = lasting(call, memory, AT_HAT_START_STD, STATES);
+    settings->parameter_std = lasting(call, memory, AT_PARAMETER_STD, PARAMETERS);
+    settings->state_noise = nd_view_of(memory, STATES, noise_of_states);
+    settings->estimated = nd_view_of(memory, PARAMETERS, core->estimated);
     settings->adapt_noise = call->values[AT_adapt_noise] != 0.0;
     settings->lag = call->values[AT_lag];
     settings->alpha = call->values[AT_alpha];
@@ -185,13 +192,14 @@ static void take_settings(const Call *call, Core *core) {
 
 /* Find bounds, rates and nominal values of what the observers estimate in place of the disturbances. */
 static int lump_disturbances(const Call *call, Core *core, nd_arena *arena) {
-    nd bound = values_at(call, AT_BOUND, DISTURBANCES), rate = values_at(call, AT_RATE, DISTURBANCES);
+    nd_array bound = values_at(call, AT_BOUND, DISTURBANCES), rate = values_at(call, AT_RATE, DISTURBANCES);
+    nd_array given = values_at(call, AT_NOMINAL, DISTURBANCES);
     int order = (int)call->values[AT_disturbance_order];
-    nd nominal = lumping_lumped_nominal(arena, &core->plant, values_at(call, AT_NOMINAL, DISTURBANCES));
+    nd nominal = lumping_lumped_nominal(arena, &core->plant, &given);
     if (arena->error) return arena->error;
     (void)nd_write(core->nominal, nominal);
-    (void)nd_write(core->bound, lumping_lumped_bound(arena, &core->plant, bound));
-    (void)nd_write(core->rate, lumping_lumped_rate(arena, &core->plant, bound, rate, order));
+    (void)nd_write(core->bound, lumping_lumped_bound(arena, &core->plant, &bound));
+    (void)nd_write(core->rate, lumping_lumped_rate(arena, &core->plant, &bound, &rate, order));
     return ND_NONE;
 }
 
@@ -214,13 +222,16 @@ static void set_count(State *state, size_t count) {
 #if CHANNEL
 static nd_arena *scratch_of(Core *core) { return core->is_paper ? &core->paper.scratch : &core->observer.scratch; }
 
+static nd_arena *lasting_of(Core *core) { return core->is_paper ? &core->paper.lasting : &core->observer.lasting; }
+
 static jmp_buf *full_of(Core *core) { return core->is_paper ? &core->paper.full : &core->observer.full; }
 
 static int start_channel(const Call *call, Core *core, double *state) {
     if (setjmp(*full_of(core))) return SAMPLED_NO_MEMORY;
     double lag = core->is_paper ? 0.0 : call->values[AT_lag];
-    return channel_start(&core->channel, scratch_of(core), &core->plant, values_at(call, AT_PARAMETERS, PARAMETERS),
-                         values_at(call, AT_BOUND, DISTURBANCES), lag, state);
+    nd parameters = lasting(call, lasting_of(core), AT_PARAMETERS, PARAMETERS);
+    nd bound = lasting(call, lasting_of(core), AT_BOUND, DISTURBANCES);
+    return channel_start(&core->channel, scratch_of(core), &core->plant, parameters, bound, lag, state);
 }
 
 /* Put the estimate of d in the place of that of w in `core->outputs`; where H > 0, what is remembered goes on by H. */
@@ -249,9 +260,10 @@ static int gains_of_paper(const Call *call, Core *core) {
     Paper *self = &core->paper;
     if (setjmp(self->full)) return PAPER_NO_MEMORY;
     if (lump_disturbances(call, core, &self->scratch)) return self->scratch.error;
+    nd_array noise_std = values_at(call, AT_NOISE_STD, OUTPUTS), bound = nd_around(LUMPED, core->bound);
+    nd_array nominal = nd_around(LUMPED, core->nominal);
     return paper_start(self, call->values[AT_pi_start], call->values[AT_pi_end], call->values[AT_pi_ramp_time],
-                       call->values[AT_alpha], values_at(call, AT_NOISE_STD, OUTPUTS), nd_view_of(LUMPED, core->bound),
-                       nd_view_of(LUMPED, core->nominal));
+                       call->values[AT_alpha], &noise_std, &bound, &nominal);
 }
 
 static bool start_paper(const Call *call, Core *core) {
@@ -259,31 +271,33 @@ static bool start_paper(const Call *call, Core *core) {
     State *state = call->state;
     memset(self, 0, sizeof *self);
     paper_memory(self, core->memory, sizeof core->memory);
-    set_equations(&self->equations);
-    self->parameters = values_at(call, AT_PARAMETERS, PARAMETERS);
+    set_plant(&core->plant, &self->lasting);
+    set_equations(&self->equations, &self->lasting);
+    self->parameters = lasting(call, &self->lasting, AT_PARAMETERS, PARAMETERS);
     int error = gains_of_paper(call, core);
     if (error) return fail_in(call, core, error, ERROR, "start");
     size_t count = paper_state_size(self);
     if (count > NUMBERS) return fail_in(call, core, PAPER_NO_MEMORY, ERROR, "start");
-    paper_first_state(self, values_at(call, AT_HAT_START, STATES), state->numbers);
+    nd_array x_hat = values_at(call, AT_HAT_START, STATES);
+    paper_first_state(self, &x_hat, state->numbers);
     return take_first_state(call, core, count);
 }
 
 static bool start(const Call *call, double time) {
     Core *core = call->core;
     State *state = call->state;
-    nd x_hat = values_at(call, AT_HAT_START, STATES);
+    nd_array x_hat = values_at(call, AT_HAT_START, STATES);
     (void)time;
     memset(core->has_left, 0, sizeof core->has_left);
     core->has_stepped = false;
     core->is_paper = call->values[AT_method] == 1.0;
-    set_plant(&core->plant);
     if (core->is_paper) return start_paper(call, core);
     memset(&core->observer, 0, sizeof core->observer);
     sampled_memory(&core->observer, core->memory, sizeof core->memory);
+    set_plant(&core->plant, &core->observer.lasting);
     take_settings(call, core);
-    int error = check_in_memory(call, core, x_hat);
-    if (!error) error = sampled_start(&core->observer, x_hat);
+    int error = check_in_memory(call, core, &x_hat);
+    if (!error) error = sampled_start(&core->observer, &x_hat);
     if (error) return fail_in(call, core, error, ERROR, "start");
     if (core->observer.count > NUMBERS) return fail_in(call, core, SAMPLED_NO_MEMORY, ERROR, "start");
     sampled_first_state(&core->observer, state->numbers);
@@ -293,10 +307,10 @@ static bool start(const Call *call, double time) {
 static bool show(const Call *call) {
     Core *core = call->core;
     double *numbers_now = ((State *)call->state)->numbers;
-    nd y = values_at(call, INPUTS, OUTPUTS);
-    int error = core->is_paper ? paper_show(&core->paper, numbers_now, y, core->outputs)
+    nd_array y = values_at(call, INPUTS, OUTPUTS);
+    int error = core->is_paper ? paper_show(&core->paper, numbers_now, &y, core->outputs)
                                : sampled_show(&core->observer, numbers_now,
-                                              FEEDTHROUGH && !CHANNEL ? call->values : NULL, y, core->outputs);
+                                              FEEDTHROUGH && !CHANNEL ? call->values : NULL, &y, core->outputs);
 #if CHANNEL
     if (!error) error = read_channel(core, 0.0, numbers_now);
 #endif
@@ -308,13 +322,13 @@ static bool show(const Call *call) {
 /* Advance the observer; where that fails the state is as before. */
 static int advance(const Call *call, Core *core, double step_size) {
     double *numbers_now = ((State *)call->state)->numbers;
-    nd u = values_at(call, 0, INPUTS), y = values_at(call, INPUTS, OUTPUTS);
+    nd_array u = values_at(call, 0, INPUTS), y = values_at(call, INPUTS, OUTPUTS);
 #if CHANNEL
     size_t size = (core->count + channel_state_size(&core->channel)) * sizeof(double);
     memcpy(core->before, numbers_now, size);
 #endif
-    int error = core->is_paper ? paper_step(&core->paper, numbers_now, u, y, step_size, core->outputs)
-                               : sampled_step(&core->observer, numbers_now, u, y, step_size, core->outputs);
+    int error = core->is_paper ? paper_step(&core->paper, numbers_now, &u, &y, step_size, core->outputs)
+                               : sampled_step(&core->observer, numbers_now, &u, &y, step_size, core->outputs);
 #if CHANNEL
     if (!error) error = read_channel(core, step_size, numbers_now);
     if (error) memcpy(numbers_now, core->before, size);

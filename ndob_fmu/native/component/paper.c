@@ -27,8 +27,8 @@ typedef struct {
 
 static PaperSizes paper_sizes(const Paper *self) {
     const LinearPart *linear = &self->observer.gains.linear;
-    int q = linear->matched ? 0 : linear->G_f.n[1];
-    PaperSizes sizes = {linear->A.n[0], linear->C.n[0], linear->B.n[1], q + linear->G_d.n[1]};
+    int q = linear->matched ? 0 : linear->G_f->n[1];
+    PaperSizes sizes = {linear->A->n[0], linear->C->n[0], linear->B->n[1], q + linear->G_d->n[1]};
     return sizes;
 }
 
@@ -37,21 +37,21 @@ size_t paper_state_size(const Paper *self) {
     return (size_t)(s.n + 2 + PAPER_SAMPLES * (1 + s.p) + s.m + s.q);
 }
 
-static PaperObserverState paper_state(const Paper *self, const double *state) {
+static PaperObserverState paper_state(Paper *self, const double *state) {
     PaperSizes s = paper_sizes(self);
     PaperObserverState given;
     int count = nd_integer(state[s.n + 1]);
     const double *ages = state + s.n + 2, *samples = ages + PAPER_SAMPLES, *u = samples + PAPER_SAMPLES * s.p;
     count = nd_imax2(0, nd_imin2(count, PAPER_SAMPLES));
-    given.x_hat = nd_view_of(s.n, state);
+    given.x_hat = nd_view_of(&self->scratch, s.n, state);
     given.elapsed = state[s.n];
-    given.history.ages = nd_view_of(count, ages);
-    given.history.samples = nd_view_of(count * s.p, samples);
-    given.history.samples.rank = 2;
-    given.history.samples.n[0] = count, given.history.samples.n[1] = s.p;
-    given.history.samples.s[0] = s.p, given.history.samples.s[1] = 1;
-    given.u = nd_view_of(s.m, u);
-    given.w_hat = nd_view_of(s.q, u + s.m);
+    given.history.ages = nd_view_of(&self->scratch, count, ages);
+    given.history.samples = nd_view_of(&self->scratch, count * s.p, samples);
+    given.history.samples->rank = 2;
+    given.history.samples->n[0] = count, given.history.samples->n[1] = s.p;
+    given.history.samples->s[0] = s.p, given.history.samples->s[1] = 1;
+    given.u = nd_view_of(&self->scratch, s.m, u);
+    given.w_hat = nd_view_of(&self->scratch, s.q, u + s.m);
     return given;
 }
 
@@ -75,7 +75,7 @@ int paper_start(Paper *self, double pi_start, double pi_end, double ramp_time, d
                 nd nominal) {
     PiSchedule schedule = {pi_start, pi_end, ramp_time};
     if (setjmp(self->full)) return PAPER_NO_MEMORY;
-    self->scratch.used = self->lasting.used = 0;
+    self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PiSchedule___post_init__(&self->scratch, &schedule);
     if (self->scratch.error) return self->scratch.error;

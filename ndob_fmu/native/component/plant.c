@@ -20,6 +20,7 @@ typedef struct {
 
 typedef struct {
     Plant plant;
+    nd_array parameters_view;
     Generator generators[DISTURBANCES + 1];
     double parameters[PARAMETERS + 1];
     nd_arena arena;
@@ -29,13 +30,13 @@ typedef struct {
 /* y for the input held until then, the other states, and the disturbances. */
 static bool write_outputs(const Call *call, const State *state, const double *held, Status status, const char *where) {
     Core *core = call->core;
-    nd y = call_output(&core->arena, NULL, nd_view_of(STATES, state->x), nd_view_of(INPUTS, held),
+    nd y = call_output(&core->arena, NULL, nd_view_of(&core->arena, STATES, state->x), nd_view_of(&core->arena, INPUTS, held),
                        core->plant.parameters);
     if (core->arena.error) return fail(call, &core->arena, status, where);
     double *to = call->outputs;
     for (int i = 0; i < OUTPUTS; i++) *to++ = nd_at(y, i);
     for (int i = 0; i < HIDDEN_STATES; i++) *to++ = state->x[hidden[i]];
-    nd d = Plant_disturbance(&core->arena, &core->plant, state->t, nd_view_of(DISTURBANCES, held + INPUTS));
+    nd d = Plant_disturbance(&core->arena, &core->plant, state->t, nd_view_of(&core->arena, DISTURBANCES, held + INPUTS));
     for (int i = 0; i < DISTURBANCES; i++) *to++ = nd_at(d, i);
     return true;
 }
@@ -62,7 +63,8 @@ static bool start(const Call *call, double start_time) {
     core->plant.equations.linearisation.call = call_linearisation;
     core->plant.equations.steps.plant_constants.call = call_plant_constants;
     core->plant.equations.steps.plant_trial.call = call_plant_trial;
-    core->plant.parameters = nd_view_of(PARAMETERS, core->parameters);
+    core->parameters_view = nd_around(PARAMETERS, core->parameters);
+    core->plant.parameters = &core->parameters_view;
     core->plant.generators.n = DISTURBANCES;
     core->plant.generators.p = core->generators;
     memset(state, 0, sizeof *state);
@@ -84,10 +86,10 @@ static bool step_in_memory(const Job *job) {
     State *state = job->call->state, after;
     memset(&after, 0, sizeof after);
     take_inputs(job->call, after.held);
-    PlantState before = {nd_view_of(STATES, state->x), state->t, state->substep};
+    PlantState before = {nd_view_of(&core->arena, STATES, state->x), state->t, state->substep};
     m_double size = {true, job->second};
-    PlantState done = Plant_step(&core->arena, &core->plant, &before, nd_view_of(INPUTS, after.held),
-                                 nd_view_of(DISTURBANCES, after.held + INPUTS), job->first + job->second, &size);
+    PlantState done = Plant_step(&core->arena, &core->plant, &before, nd_view_of(&core->arena, INPUTS, after.held),
+                                 nd_view_of(&core->arena, DISTURBANCES, after.held + INPUTS), job->first + job->second, &size);
     if (core->arena.error) return fail(job->call, &core->arena, job->status, "step");
     for (int i = 0; i < STATES; i++) after.x[i] = nd_at(done.x, i);
     after.t = done.t;
@@ -100,7 +102,7 @@ static bool step_in_memory(const Job *job) {
 static bool possible_in_memory(const Job *job) {
     Core *core = job->call->core;
     const State *state = job->call->state;
-    PlantState given = {nd_view_of(STATES, state->x), state->t, state->substep};
+    PlantState given = {nd_view_of(&core->arena, STATES, state->x), state->t, state->substep};
     return Plant_possible(&core->arena, &core->plant, &given) && times_same_time(&core->arena, state->t, job->second)
            && finite_numbers(state->held, HELD);
 }

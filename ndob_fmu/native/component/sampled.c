@@ -131,7 +131,7 @@ static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *giv
     if (self->scratch.error || !done.some) return false;
     (void)write_SampledObserverState(state, &done.value.v0);
     double *end = nd_write(outputs, done.value.v1);
-    if (CHANNEL) (void)nd_write(end, nd_view(self->prepared.layout.n, done.value.v2.p));
+    if (CHANNEL) (void)nd_write(end, nd_view(&self->scratch, self->prepared.layout.n, done.value.v2->p));
     return true;
 }
 
@@ -140,7 +140,7 @@ static bool step_as_kept(Sampled *self, double *state, nd u, nd y, double H, dou
     const Kept *kept = &self->of_converged;
     if (!kept->some || !self->converged.some || self->converged.value.M_H.some || kept->H != H) return false;
     if (!is_frozen_for(state + self->count, H, kept->tuned_at, kept->noise)) return false;
-    return frozen_step(&self->scratch, &self->converged.value, u.p, y.p, H, state, outputs);
+    return frozen_step(&self->scratch, &self->converged.value, u->p, y->p, H, state, outputs);
 }
 
 static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
@@ -188,7 +188,7 @@ int sampled_show(Sampled *self, const double *state, const double *u, nd y, doub
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     SampledObserverState given = given_state(self, state);
-    if (u) given.u = nd_view_of(nd_len(given.u), u);
+    if (u) given.u = nd_view_of(&self->scratch, nd_len(given.u), u);
     Estimate known = sampled_step_estimate_before_a_step(&self->scratch, &self->prepared, &given, y);
     if (!self->scratch.error) (void)write_estimate(outputs, &known);
     return ended(self);

@@ -21,9 +21,10 @@ typedef struct {
     double memory[MEMORY];
 } Core;
 
-static SampledState read_state(const State *from) {
+static SampledState read_state(nd_arena *arena, const State *from) {
     int count = (int)from->count;
-    SampledState state = {from->start_time, from->index, nd_view_of(count, from->times), nd_view_of(count, from->values),
+    SampledState state = {from->start_time, from->index, nd_view_of(arena, count, from->times),
+                          nd_view_of(arena, count, from->values),
                           from->good, from->shown, from->is_new != 0.0};
     return state;
 }
@@ -60,7 +61,7 @@ static bool begin_in_memory(const Job *job) {
 
 static bool step_in_memory(const Job *job) {
     Core *core = job->call->core;
-    SampledState before = read_state(job->call->state);
+    SampledState before = read_state(&core->arena, job->call->state);
     SampledState after = DEVICE_STEP(&core->arena, &core->device, &before, job->call->values[AT_MEASURED],
                                      job->first + job->second, job->second);
     if (core->arena.error) return fail(job->call, &core->arena, job->status, "step");
@@ -73,7 +74,7 @@ static bool possible_in_memory(const Job *job) {
     bool in_range = state->count >= 0.0 && state->count <= POINTS && state->count == floor(state->count)
                     && (state->is_new == 0.0 || state->is_new == 1.0);
     if (!in_range || state->start_time != job->first) return false;
-    SampledState given = read_state(state);
+    SampledState given = read_state(&core->arena, state);
     return DEVICE_POSSIBLE(&core->arena, &core->device, &given, job->second);
 }
 

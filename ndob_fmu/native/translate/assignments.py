@@ -83,7 +83,7 @@ class Assignments(Loops):
         self.declare(name, kind, node)
         own = c_name(name)
         if start == "None":
-            self.lines[place] = f"{own} = nd_none;" if is_nd(kind) else f"memset(&{own}, 0, sizeof {own});"
+            self.lines[place] = f"{own} = NULL;" if is_nd(kind) else f"memset(&{own}, 0, sizeof {own});"
         elif is_numbers(kind):
             self.lines[place] = f"{own} = nd_new(arena, 1, (int[]){{0}});"
         else:
@@ -105,7 +105,7 @@ class Assignments(Loops):
         if isinstance(value.kind, Unknown) and value.kind.text.startswith("shape "):
             array = value.kind.text.split()[1]
             for i, one in enumerate(target.elts):
-                self.to_target(one, Value(f"{array}.n[{i}]", INT), node)
+                self.to_target(one, Value(f"{array}->n[{i}]", INT), node)
             return
         if isinstance(value.kind, Structure) and self.program.structure(value.kind.name).is_tuple:
             value = self.held(value)
@@ -123,7 +123,7 @@ class Assignments(Loops):
             items = [self._as_element(text, value.kind, numbers) for text in texts]
         elif isinstance(value.kind, Array):
             value = self.held(value)
-            items = [Value(f"nd_row({value.text}, {i})", ARRAY) for i in range(len(target.elts))]
+            items = [Value(f"nd_row(arena, {value.text}, {i})", ARRAY) for i in range(len(target.elts))]
         else:
             raise self.no(node, "a tuple on the right", str(value.kind))
         for one, item in zip(target.elts, items, strict=True):
@@ -164,7 +164,7 @@ class Assignments(Loops):
             return
         if any(self.many(part) is not None for part in parts):
             raise self.no(target, "a list of indices along the first axis")
-        place = f"nd_get({array.text}, {self.indices(target.slice)})"
+        place = f"nd_get(arena, {array.text}, {self.indices(target.slice)})"
         if is_number(value.kind):
             self.line(f"nd_put_number({place}, {self.as_number(value, FLOAT, target)});")
         else:

@@ -198,7 +198,7 @@ class Conversions:
     def _maybe(self, value: Value, kind: Maybe, node: ast.AST) -> Value:
         if value.kind == NOTHING:
             if is_nd(kind):
-                return Value("nd_none", kind)
+                return Value("NULL", kind)
             name = self.temporary(kind)
             self.line(f"memset(&{name}, 0, sizeof {name});")
             return Value(name, kind)
@@ -225,7 +225,7 @@ class Conversions:
             texts = [self.as_number(item, FLOAT, node) for item in items]
             self.line(f"{name} = nd_new(arena, 1, (int[]){{{len(items)}}});")
             for i, text in enumerate(texts):
-                self.line(f"{name}.p[{i}] = {text};")
+                self.line(f"{name}->p[{i}] = {text};")
         else:
             texts = [self.coerced(item, kind.element, node).text for item in items]
             self.line(f"{name}.n = {len(items)};")
@@ -292,7 +292,7 @@ class Conversions:
     def literal(self, value: Any, node: ast.AST) -> Value:
         """Return a constant of Python, or of NumPy."""
         if value is None:
-            return Value("nd_none", NOTHING)
+            return Value("NULL", NOTHING)
         if isinstance(value, (bool, np.bool_)):
             return Value("true" if value else "false", BOOL)
         if isinstance(value, (int, np.integer)):

@@ -100,12 +100,12 @@ class Expressions(Operators):
         value = self.certain(self.expression(node.value))
         if is_nd(value.kind):
             if node.attr == "T":
-                return Value(f"nd_transposed({value.text})", value.kind)
+                return Value(f"nd_transposed(arena, {value.text})", value.kind)
             if node.attr == "size":
                 return Value(f"nd_size({value.text})", INT)
             if node.attr == "shape":
                 held = self.held(value)
-                return Value(f"{held.text}.n", Unknown(f"shape {held.text}"))
+                return Value(f"{held.text}->n", Unknown(f"shape {held.text}"))
         if isinstance(value.kind, ComplexArray) and node.attr in ("real", "imag"):
             return self.parts_of(value)[node.attr == "imag"]
         if value.kind == SLICE and node.attr in ("start", "stop"):

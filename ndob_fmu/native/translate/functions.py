@@ -244,7 +244,7 @@ class Writer(Statements):
             return f"{kind.text} {name};"
         own = c_type(kind)
         if is_nd(kind):
-            return f"nd {name} = nd_none;"
+            return f"nd {name} = NULL;"
         if is_number(kind):
             return f"{own} {name} = {({FLOAT: '0.0', INT: '0', BOOL: 'false'})[kind]};"  # type: ignore[index]
         if name in self.zeroed:
@@ -255,7 +255,7 @@ class Writer(Statements):
         if kind == NOTHING:
             return ["return;"]
         if is_nd(kind):
-            return ["return nd_none;"]
+            return ["return NULL;"]
         if is_number(kind):
             return [f"return {({FLOAT: 'NAN', INT: '0', BOOL: 'false'})[kind]};"]  # type: ignore[index]
         return [f"{{ {c_type(kind)} none_; memset(&none_, 0, sizeof none_); return none_; }}"]

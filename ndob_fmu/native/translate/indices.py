@@ -48,8 +48,8 @@ class Indices(Conversions):
         if isinstance(value.kind, Unknown) and value.kind.text.startswith("shape "):
             array = value.kind.text.split()[1]
             if isinstance(node.slice, ast.UnaryOp):
-                return Value(f"{array}.n[{array}.rank - {ast.unparse(node.slice.operand)}]", INT)
-            return Value(f"{array}.n[{self.number(node.slice, INT)}]", INT)
+                return Value(f"{array}->n[{array}->rank - {ast.unparse(node.slice.operand)}]", INT)
+            return Value(f"{array}->n[{self.number(node.slice, INT)}]", INT)
         if isinstance(value.kind, Pack) and isinstance(node.slice, ast.Constant):
             i = node.slice.value
             assert isinstance(i, int)
@@ -73,7 +73,7 @@ class Indices(Conversions):
         whole = isinstance(node.slice, ast.Slice) or self.kind_if_known(node.slice) == SLICE
         if whole:
             if is_numbers(kind):
-                return Value(f"nd_get({value.text}, {self.indices(node.slice)})", kind)
+                return Value(f"nd_get(arena, {value.text}, {self.indices(node.slice)})", kind)
             return self._listed_part(node, value, kind)
         if is_numbers(kind):
             return entry(f"nd_at({value.text}, {self.number(node.slice, INT)})", kind.element)
@@ -84,7 +84,7 @@ class Indices(Conversions):
 
     def _backwards(self, value: Value, kind: Listing) -> Value:
         if is_numbers(kind):
-            return Value(f"nd_reversed({value.text})", kind)
+            return Value(f"nd_reversed(arena, {value.text})", kind)
         value, name, i = self.held_structure(value), self.temporary(kind), self.temporary(INT)
         self.line(f"{name}.n = {value.text}.n;")
         self.line(f"{name}.p = nd_take_bytes(arena, sizeof({c_type(kind.element)}) * (size_t)nd_imax2({name}.n, 1));")
@@ -159,7 +159,7 @@ class Indices(Conversions):
 
     def _part(self, node: ast.Subscript, value: Value, kind: Array) -> Value:
         if is_reversal(node.slice):
-            return Value(f"nd_reversed({value.text})", kind)
+            return Value(f"nd_reversed(arena, {value.text})", kind)
         crossed = self.crossed(node.slice)
         if crossed is not None:
             return Value(f"nd_take2(arena, {value.text}, {crossed[0]}, {crossed[1]})", kind, fresh=True)
@@ -170,7 +170,7 @@ class Indices(Conversions):
                 if not all(self.whole_axis(other) for other in parts if other is not part):
                     raise self.no(node, "a list of indices along one axis, and whole other axes")
                 return Value(f"nd_take(arena, {value.text}, {listed}, {axis})", kind, fresh=True)
-        return Value(f"nd_get({value.text}, {self.indices(node.slice)})", kind)
+        return Value(f"nd_get(arena, {value.text}, {self.indices(node.slice)})", kind)
 
     def crossed(self, node: ast.expr) -> tuple[str, str] | None:
         """Return the rows and columns of a subscript np.ix_(rows, columns)."""

@@ -60,7 +60,7 @@ class Loops(Calls):
     def _items_of_value(self, value: Value, node: ast.AST) -> Items:
         kind = value.kind
         if isinstance(kind, Array):
-            return Items(f"nd_len({value.text})", lambda i: Value(f"nd_row({value.text}, {i})", kind))
+            return Items(f"nd_len({value.text})", lambda i: Value(f"nd_row(arena, {value.text}, {i})", kind))
         if is_numbers(kind):
             assert isinstance(kind, Listing)
             element = kind.element
@@ -135,7 +135,7 @@ class Loops(Calls):
             inner = [Value(f"{value.text}.v{i}", kind) for i, kind in enumerate(elements_of(value.kind))]
         elif is_nd(value.kind):
             value = self.held(value)
-            inner = [Value(f"nd_row({value.text}, {i})", ARRAY) for i in range(len(target.elts))]
+            inner = [Value(f"nd_row(arena, {value.text}, {i})", ARRAY) for i in range(len(target.elts))]
         else:
             raise self.no(target, "a tuple of names for a tuple", str(value.kind))
         found = []
@@ -201,10 +201,10 @@ class Loops(Calls):
                 self.line(f"if (!{self.truth(condition)}) continue;")
             value = self.expression(element, kind.element)
             text = self.as_number(value, FLOAT, element) if numbers else self.coerced(value, kind.element, element).text
-            self.line(f"{name}.p[{count}++] = {text};")
+            self.line(f"{name}{'->' if numbers else '.'}p[{count}++] = {text};")
 
         self.around(target, items, body)
-        self.line(f"{name}.n[0] = {count};" if numbers else f"{name}.n = {count};")
+        self.line(f"{name}->n[0] = {count};" if numbers else f"{name}.n = {count};")
         return Value(name, kind, fresh=True)
 
     def loop_value(self, node: ast.Call, short: str) -> Value:

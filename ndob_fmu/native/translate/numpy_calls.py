@@ -117,7 +117,7 @@ class NumpyCalls(Expressions):
             raise self.no(node, "lstsq with rcond=None")
         pack = self.temporary(Pack((ARRAY, ARRAY)))
         self.line(f"{pack}.v0 = nd_lstsq(arena, {self.array(node.args[0])}, {self.array(node.args[1])});")
-        self.line(f"{pack}.v1 = nd_none;")
+        self.line(f"{pack}.v1 = NULL;")
         self.check()
         return Value(pack, Pack((ARRAY, ARRAY)), fresh=True)
 
@@ -126,7 +126,7 @@ class NumpyCalls(Expressions):
             raise self.no(node, "qr without a mode")
         pack = self.temporary(Pack((ARRAY, ARRAY)))
         self.line(f"{pack}.v0 = nd_qr_q(arena, {self.array(node.args[0])});")
-        self.line(f"{pack}.v1 = nd_none;")
+        self.line(f"{pack}.v1 = NULL;")
         return Value(pack, Pack((ARRAY, ARRAY)), fresh=True)
 
     def _of_np_linalg_eigvals(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
@@ -139,7 +139,7 @@ class NumpyCalls(Expressions):
 
     def _of_np_frexp(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
         pack = self.temporary(Pack((ARRAY, ARRAY)))
-        self.line(f"{pack}.v0 = nd_none;")
+        self.line(f"{pack}.v0 = NULL;")
         self.line(f"{pack}.v1 = nd_map(arena, nd_exponent_of, {self.array(node.args[0])});")
         return Value(pack, Pack((ARRAY, ARRAY)), fresh=True)
 
@@ -151,7 +151,7 @@ class NumpyCalls(Expressions):
         value = self.expression(node)
         if isinstance(value.kind, Unknown) and value.kind.text.startswith("shape "):
             array = value.kind.text.split()[1]
-            return f"{array}.rank, {array}.n"
+            return f"{array}->rank, {array}->n"
         return f"1, (int[]){{{self.as_number(value, INT, node)}}}"
 
     def _filled(self, node: ast.Call, value: str) -> Value:

@@ -183,11 +183,11 @@ class Operators(Indices):
                 if not isinstance(left.kind, Maybe):
                     raise self.no(node, "a value that may be None", f"{ast.unparse(node)} of type {left.kind}")
                 if is_nd(left.kind):
-                    return Value(f"({left.text}.rank {'<' if same else '>='} 0)", BOOL)
+                    return Value(f"({'!' if same else ''}{left.text})", BOOL)
                 return Value(f"{'!' if same else ''}{left.text}.some", BOOL)
             right = self.expression(other)
             if is_nd(left.kind) and is_nd(right.kind):
-                return Value(f"({left.text}.p {'==' if same else '!='} {right.text}.p)", BOOL)
+                return Value(f"({left.text}->p {'==' if same else '!='} {right.text}->p)", BOOL)
         if isinstance(operator, (ast.In, ast.NotIn)):
             table = self.expression(other) if isinstance(other, (ast.Name, ast.Attribute)) else left
             if isinstance(table.kind, Table):

@@ -154,7 +154,7 @@ class PythonCalls(NumpyCalls):
         value, name, i = self.held(value), self.temporary(Listing(ARRAY)), self.temporary(INT)
         self.line(f"{name}.n = nd_len({value.text});")
         self.line(f"{name}.p = nd_take_bytes(arena, sizeof(nd) * (size_t)nd_imax2({name}.n, 1));")
-        self.line(f"for ({i} = 0; {i} < {name}.n; {i}++) {name}.p[{i}] = nd_row({value.text}, {i});")
+        self.line(f"for ({i} = 0; {i} < {name}.n; {i}++) {name}.p[{i}] = nd_row(arena, {value.text}, {i});")
         return Value(name, Listing(ARRAY))
 
     def _array_method(self, node: ast.Call, value: Value, name: str, named: Named) -> Value | None:
@@ -175,7 +175,7 @@ class PythonCalls(NumpyCalls):
             return Value(f"nd_reshape(arena, {value.text}, {lengths})", value.kind, value.fresh)
         if name == "transpose":
             texts = [self.number(one, INT) for one in node.args]
-            return Value(f"nd_permuted({value.text}, (int[]){{{', '.join(texts)}}})", value.kind)
+            return Value(f"nd_permuted(arena, {value.text}, (int[]){{{', '.join(texts)}}})", value.kind)
         if name in REDUCTIONS:
             return self._reduced(node, name, value, named, list(node.args))
         if name in ("argmin", "argmax"):
