@@ -69,7 +69,7 @@ def _guid(root: ET.Element, contents: Mapping[str, bytes]) -> str:
 
 def write_archive(path: Path, contents: Mapping[str, bytes]) -> None:
     """Write the archive `path` with these files, by their path in it."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
         for name in sorted(contents):
             entry = zipfile.ZipInfo(name, _FIXED_TIME)
             entry.compress_type = zipfile.ZIP_DEFLATED

@@ -17,7 +17,8 @@ _CONSTANT = re.compile(r"(?m)^static const \w+ \*?(?:const )?(\w+)(?:\[\w*\])* =
 
 
 def joined(sources: Sequence[str], root: str) -> str:
-    """Return the sources, without the functions that neither the text `root` nor a function that is left uses.
+    """Return the sources, without the functions that neither the text `root` nor a function that is left uses, and
+    without declarations of functions that nothing uses before they are defined.
 
     Each source comes behind those whose declarations it needs. Functions begin at the beginning of a line, and end with
     a brace there.
@@ -29,7 +30,8 @@ def joined(sources: Sequence[str], root: str) -> str:
     bodies = {name: piece for name, piece in pieces if name and piece.rstrip().endswith("}")}
     between = "\n".join(piece for name, piece in pieces if not name)
     kept = _reached(bodies, f"{root}\n{re.sub(_COMMENT, '', between)}")
-    whole = "".join(piece if not name else _static(piece) for name, piece in pieces if not name or name in kept)
+    pieces = _without_needless_declarations([(name, piece) for name, piece in pieces if not name or name in kept])
+    whole = re.sub(r"\n{3,}", "\n\n", "".join(_static(piece) if name else piece for name, piece in pieces))
     return _without_unused_constants(whole, root)
 
 
@@ -58,6 +60,27 @@ def _pieces(text: str) -> list[tuple[str, str]]:
             place = head.start() + len(line) if one_line else text.index("\n}", head.start()) + 2
         found.append((head["name"], text[head.start() : place]))
     return [*found, ("", text[place:])]
+
+
+def _without_needless_declarations(pieces: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    defined: set[str] = set()
+    needed: dict[str, int] = {}  # by function, the declaration that something behind it uses before the definition
+    declared: dict[str, int] = {}
+    for place, (name, piece) in enumerate(pieces):
+        is_declaration = bool(name) and piece.endswith(";")
+        if is_declaration:
+            declared.setdefault(name, place)
+            continue
+        for word in set(re.findall(r"[A-Za-z_]\w*", piece)) & declared.keys() - defined - {name}:
+            needed.setdefault(word, declared[word])
+        if name:
+            defined.add(name)
+    kept = set(needed.values())
+    return [
+        (name, piece)
+        for place, (name, piece) in enumerate(pieces)
+        if not (name and piece.endswith(";")) or place in kept
+    ]
 
 
 def _reached(bodies: dict[str, str], root: str) -> set[str]:

@@ -230,7 +230,7 @@ class Writer(Statements):
         lines = [*(f"(void){own};" for own in unread), *lines]
         result = ["size_t mark_ = arena->used;"] if "mark_" in words else []
         result += [f"{environment} {name};" for environment, name in self.environments]
-        result += [self._declaration(name, own) for name, own in self.declared.items() if name in words]
+        result += self._declarations([name for name in self.declared if name in words])
         result += [f"(void){name};" for name in self.declared if name in words and _only_written(name, lines)]
         result += lines
         if "failed_" in self.jumps:
@@ -239,17 +239,20 @@ class Writer(Statements):
             result += self._failure(kind)
         return result
 
-    def _declaration(self, name: str, kind: Kind) -> str:
-        if isinstance(kind, Unknown):
-            return f"{kind.text} {name};"
-        own = c_type(kind)
-        if is_nd(kind):
-            return f"nd {name} = NULL;"
-        if is_number(kind):
-            return f"{own} {name} = {({FLOAT: '0.0', INT: '0', BOOL: 'false'})[kind]};"  # type: ignore[index]
-        if name in self.zeroed:
-            return f"{own} {name}; memset(&{name}, 0, sizeof {name});"
-        return f"{own} {name};"
+    def _declarations(self, names: Sequence[str]) -> list[str]:
+        """Return the declarations of variables, one for each type."""
+        found: dict[str, list[str]] = {}
+        for name in names:
+            kind = self.declared[name]
+            own = kind.text if isinstance(kind, Unknown) else c_type(kind)
+            first = "NULL" if is_nd(kind) else _FIRST_VALUES.get(kind)
+            found.setdefault(own, []).append(f"{name} = {first}" if first else name)
+        zeroed = [
+            f"memset(&{name}, 0, sizeof {name});"
+            for name in names
+            if name in self.zeroed and not (is_nd(self.declared[name]) or is_number(self.declared[name]))
+        ]
+        return [f"{own} {', '.join(listed)};" for own, listed in found.items()] + zeroed
 
     def _failure(self, kind: Kind) -> list[str]:
         if kind == NOTHING:
@@ -259,6 +262,10 @@ class Writer(Statements):
         if is_number(kind):
             return [f"return {({FLOAT: 'NAN', INT: '0', BOOL: 'false'})[kind]};"]  # type: ignore[index]
         return [f"{{ {c_type(kind)} none_; memset(&none_, 0, sizeof none_); return none_; }}"]
+
+
+# Of variables; compilers would warn of some that are always written before they are read.
+_FIRST_VALUES: dict[Kind, str] = {FLOAT: "0.0", INT: "0", BOOL: "false"}
 
 
 def _only_written(name: str, lines: Sequence[str]) -> bool:

@@ -86,7 +86,7 @@ def translate(
     kinds = [kind for one in texts.values() for kind in one[1]]
     definitions = tuple(one for one in world.wanted if one.where in texts)
     header, source = _files(
-        world, kinds, definitions, {key: text for key, (text, _) in texts.items()}, name, copied, stored
+        world, kinds, definitions, {key: text for key, (text, _) in texts.items()}, uses, name, copied, stored
     )
     return Translation(header, source, definitions, refused, program)
 
@@ -131,6 +131,7 @@ def _files(
     kinds: Iterable[Kind],
     definitions: Sequence[Definition],
     texts: Mapping[str, str],
+    uses: Mapping[str, set[str]],
     name: str,
     copied: Sequence[str],
     stored: Sequence[str],
@@ -138,7 +139,7 @@ def _files(
     declared = _ordered(world.program, kinds)
     heads = [Writer(world, one).head() + ";" for one in definitions]
     thunks = [_thunk(one) for one in world.values.values() if one.where in texts]
-    body = "\n".join([*thunks, *(_indented(text) for text in texts.values())])
+    body = "\n".join([*thunks, *(_indented(texts[one]) for one in _callees_first(texts, uses))])
     guard = f"NDOB_{name.upper()}_H"
     header = [
         f"/* Translated from the runtime; do not edit. */\n#ifndef {guard}",
@@ -154,6 +155,22 @@ def _files(
     source += ["#if !defined __GNUC__ || defined __clang__", "#pragma STDC FP_CONTRACT OFF", "#endif", ""]
     source += movers(world.program, declared, body, copied)
     return "\n".join(header), "\n".join([*source, *of_storage.texts, body])
+
+
+def _callees_first(texts: Mapping[str, str], uses: Mapping[str, set[str]]) -> list[str]:
+    """Return the functions, each one behind those that it calls."""
+    found: dict[str, None] = {}
+
+    def visit(one: str) -> None:
+        for used in sorted(uses[one]):
+            if used != one and used in texts and used not in found:
+                visit(used)
+        found[one] = None
+
+    for one in texts:
+        if one not in found:
+            visit(one)
+    return list(found)
 
 
 def _is_struct(kind: Kind) -> bool:
