@@ -32,6 +32,10 @@ def _missing(reason: str, found: bool) -> pytest.MarkDecorator:
 
 
 C_COMPILER = _missing("expected a C compiler, cc or the one that CC names (Debian: gcc, libc6-dev)", found_c_compiler())
+WINDOWS_COMPILER = _missing(
+    "expected MinGW's x86_64-w64-mingw32-gcc (Debian: gcc-mingw-w64-x86-64)",
+    shutil.which("x86_64-w64-mingw32-gcc") is not None,
+)
 CMAKE = _missing(
     "expected cmake and a C++ compiler, which it looks for (Debian: cmake, g++)",
     bool(shutil.which("cmake") and shutil.which("c++")),

@@ -28,7 +28,7 @@ from ndob_fmu.runtime.equations import Experiment
 from tests.fuzz.library import Library
 from tests.fuzz.walk import Walk
 from tests.helpers.checkers import findings
-from tests.helpers.needs import C_COMPILER, CMAKE
+from tests.helpers.needs import C_COMPILER, CMAKE, WINDOWS_COMPILER
 
 pytestmark = [
     C_COMPILER,
@@ -313,6 +313,15 @@ def test_an_fmu_that_is_up_to_date_can_be_kept_without_a_compiler(built, fmi, mo
         assert compiled
         assert other.read_bytes() != known
         compiled.clear()
+
+
+@WINDOWS_COMPILER
+def test_the_same_fmu_for_windows_has_the_same_bytes_in_another_folder(tmp_path):
+    first, again = (
+        package(tmp_path / folder / "Counter.fmu", *COMPONENTS["Counter"], {}, platforms=["win64"])
+        for folder in ("one", "ä b")
+    )
+    assert again.read_bytes() == first.read_bytes()
 
 
 def test_a_platform_without_a_compiler_is_refused_and_leaves_nothing(tmp_path, monkeypatch):
