@@ -351,12 +351,12 @@ static bool step(const Call *call, double time, double step_size) {
 static bool possible(const Call *call, double begin, double now) {
     Core *core = call->core;
     State *state = call->state;
-    size_t count = core->count;
+    size_t count = core->count, read = 0;
 #if CHANNEL
-    size_t read = channel_state_size(&core->channel);
+    read = channel_state_size(&core->channel);
+#endif
     if (!finite_numbers(state->numbers + count, read)) return false;
     count += read;
-#endif
     if (state->count != (double)count) return false;
     return core->is_paper ? paper_possible(&core->paper, state->numbers, now - begin)
                           : sampled_possible(&core->observer, state->numbers);

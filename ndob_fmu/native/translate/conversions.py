@@ -61,6 +61,18 @@ class Value:
     parts: tuple[Value, ...] = ()
 
 
+def in_parentheses(condition: str) -> str:
+    """Return a condition in one pair of parentheses; of two around a comparison, clang warns."""
+    depth, first_ends = 0, -1
+    for place, character in enumerate(condition):
+        depth += (character == "(") - (character == ")")
+        if depth == 0:
+            first_ends = place
+            break
+    is_whole = condition.startswith("(") and first_ends == len(condition) - 1
+    return condition if is_whole else f"({condition})"
+
+
 def c_name(name: str) -> str:
     """Return the name of a variable in C."""
     return f"{name}_" if name in _RESERVED or name.startswith("_") else name

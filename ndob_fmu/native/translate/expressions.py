@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ndob_fmu.native.translate.conversions import Value, c_name, number_text
+from ndob_fmu.native.translate.conversions import Value, c_name, in_parentheses, number_text
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -138,7 +138,7 @@ class Expressions(Operators):
         if not any(lines) and not isinstance(kind, (Structure, Pack)) and not any("arena" in text for text in branches):
             return Value(f"({condition} ? {branches[0]} : {branches[1]})", kind)
         name = self.temporary(kind)
-        self.line(f"if ({condition}) {{")
+        self.line(f"if {in_parentheses(condition)} {{")
         branch(node.body)()
         self.line(f"{name} = {branches[-1]};")
         self.line("} else {")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 
-from ndob_fmu.native.translate.conversions import Value
+from ndob_fmu.native.translate.conversions import Value, in_parentheses
 from ndob_fmu.native.translate.indices import Indices
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
@@ -159,7 +159,7 @@ class Operators(Indices):
         first = self.held(first)
         condition = self.as_truth(first, node)
         name = self.temporary(first.kind)
-        self.line(f"if ({condition}) {name} = {first.text};")
+        self.line(f"if {in_parentheses(condition)} {name} = {first.text};")
         self.line("else {")
         self.line(f"{name} = {self.coerced(self.expression(node.values[1], first.kind), first.kind, node).text};")
         self.line("}")

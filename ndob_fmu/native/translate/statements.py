@@ -9,7 +9,7 @@ import ast
 from collections.abc import Sequence
 
 from ndob_fmu.native.translate.assignments import Assignments
-from ndob_fmu.native.translate.conversions import c_name
+from ndob_fmu.native.translate.conversions import c_name, in_parentheses
 from ndob_fmu.native.translate.kinds import (
     INT,
     NOTHING,
@@ -88,7 +88,7 @@ class Statements(Assignments):
             self.line(f"(void){value.text};")
 
     def _if(self, node: ast.If) -> None:
-        self.line(f"if ({self.truth(node.test)}) {{")
+        self.line(f"if {in_parentheses(self.truth(node.test))} {{")
         self.statements(node.body)
         if node.orelse:
             self.line("} else {")
