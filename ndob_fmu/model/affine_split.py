@@ -98,10 +98,24 @@ def _affine_in(expressions: Sequence[sympy.Expr], d: Symbols) -> tuple[list[symp
 def _free_of(slope: sympy.Expr, d: Symbols) -> sympy.Expr:
     """Return the slope in a form without d, where one is found."""
     for transform in (sympy.expand, sympy.cancel, sympy.simplify):
-        if not (slope.free_symbols & {*d}):
+        # To look for a form that does not exist may take SymPy many minutes.
+        if not (slope.free_symbols & {*d}) or _changes_with(d, slope):
             break
         slope = transform(slope)
     return slope
+
+
+def _changes_with(d: Symbols, slope: sympy.Expr) -> bool:
+    """Return whether a slope has different values for two d, with all else the same; False where it has no value."""
+    others = sorted(slope.free_symbols - {*d}, key=str)
+    point = {symbol: sympy.Float(0.3 + 0.37 * i) for i, symbol in enumerate(others)}
+    try:
+        first, second = (
+            complex(slope.xreplace(point | dict.fromkeys(d, sympy.Float(value))).evalf()) for value in (0.2, 0.7)
+        )
+    except (TypeError, ValueError):
+        return False
+    return bool(abs(first - second) > 1e-6 * (abs(first) + abs(second)))
 
 
 def _linear_part(

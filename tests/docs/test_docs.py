@@ -117,6 +117,7 @@ def test_the_documentation_shows_every_command_of_the_program():
         "check",
         "design",
         "build",
+        "estimate",
         "simulate",
         "sweep",
         "report",
