@@ -90,16 +90,20 @@ def test_a_portable_system_keeps_to_what_all_tools_read(shipped, name):
     assert sum("org.openmodelica" in text and "osp:FixedStepAlgorithm" in text for text in texts) == 1
 
 
-def study(shipped, name, steps):
-    """Every Real output of every component."""
-    path = shipped.systems / f"{name}.ssp"
-    with open_ssp(path) as (system, _):
-        shown = tuple(
+def real_outputs(package):
+    """Return the name of every Real output of every component."""
+    with open_ssp(package) as (system, _):
+        return tuple(
             f"{part}.{v.name}"
             for part, component in system.components.items()
             for v in component.variables
             if v.causality == "output" and v.type == "Real"
         )
+
+
+def study(shipped, name, steps):
+    path = shipped.systems / f"{name}.ssp"
+    shown = real_outputs(path)
     parameter_set = "nominal" if name in PORTABLE else next(s for s in shipped.sets if name.endswith(f"_{s}"))
     return Study(package=str(path), parameter_set=parameter_set, shown=shown, steps=steps)
 

@@ -13,10 +13,10 @@ from fmpy.ssp.simulation import simulate_ssp
 
 from fmus.tools import regression
 from ndob_fmu.cli import main
-from ndob_fmu.cosim import check_ssp, open_ssp, simulate
+from ndob_fmu.cosim import check_ssp, simulate
 from ndob_fmu.study import read_study
 from ndob_fmu.study.session import Session
-from tests.cosim.test_shipped_systems import PORTABLE
+from tests.cosim.test_shipped_systems import PORTABLE, real_outputs
 from tests.helpers.needs import ECOS, FRONT
 from tests.importers.importer_runs import TOLERANCE, difference, in_ecos, in_python
 from tests.importers.importer_studies import reference
@@ -91,14 +91,7 @@ def test_a_system_has_the_trajectories_of_the_python_build(native, shipped, name
 def test_a_system_has_the_trajectories_of_our_master_in_other_tools(native, tool, tmp_path):
     name = "noisy_encoder"
     package = native / "ssp" / f"{name}.ssp"
-    with open_ssp(package) as (system, _):
-        shown = tuple(
-            f"{part}.{v.name}"
-            for part, component in system.components.items()
-            for v in component.variables
-            if v.causality == "output" and v.type == "Real"
-        )
-    study = Study(package=str(package), shown=shown, steps=PORTABLE[name])
+    study = Study(package=str(package), shown=real_outputs(package), steps=PORTABLE[name])
     expected = reference(study)
     found = in_ecos(study, tmp_path) if tool == "ecos" else in_python(tool, study, tmp_path)
     assert difference(found, expected, rounding=1e-6 if tool == "ecos" else 0.0) <= TOLERANCE
