@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     required = measure(plan, given.workers)
     if given.quick:
-        plants = page.run_all([given.seed], in_parallel, given.workers, first=1, plants="joint")
+        plants = page.run_all([given.seed], in_parallel, given.workers, few=1, plants="joint")
     else:
         plants = page.run_all(range(given.seed, given.seed + RECORDS), in_parallel, given.workers)
     for path in write(given.out, plan, run_all(plan, given.workers), required, plants):

@@ -56,32 +56,33 @@ class Cell:
 Scores = dict[str, Score | str]  # by estimator; a text says why there is no score
 
 
-def cells(first: int | None = None, plants: Sequence[Plant] = (JOINT, CYLINDER, MOTOR, ARM)) -> list[Cell]:
-    """Return all cells of these plants and the gallery's, or of each kind the first few.
+def cells(few: int | None = None, plants: Sequence[Plant] = (JOINT, CYLINDER, MOTOR, ARM)) -> list[Cell]:
+    """Return all cells of these plants and the gallery's, or a few of each kind, those with the longest steps.
 
     The arm has good samples only.
     """
+    last = None if few is None else -few
     three = [plant for plant in plants if plant is not ARM]
     return [
         *(
             Cell(GOOD, plant, ms(step), lambda seeds, plant=plant, step=step: simulate(plant, step, seeds))
             for plant in plants
-            for step in STEPS[plant][:first]
+            for step in STEPS[plant][last:]
         ),
         *(
             Cell(FAULTY, plant, name, lambda seeds, plant=plant, name=name: faulty_record(plant, name, seeds))
             for plant in three
-            for name in list(FAULTS)[:first]
+            for name in list(FAULTS)[:few]
         ),
-        *(cell for plant in three for cell in _wrong(plant)[:first]),
+        *(cell for plant in three for cell in _wrong(plant)[:few]),
         *(
             Cell(LATER, plant, ms(lag * H), _good(plant), told={"lag": lag * H}, lag=lag)
             for plant in three
-            for lag in LAGS[:first]
+            for lag in LAGS[:few]
         ),
         *(
             Cell(SHOWN, plant, ms(step_of(plant)), lambda seeds, plant=plant: simulate(plant, step_of(plant), seeds))
-            for plant in gallery_plants()[:first]
+            for plant in (gallery_plants() if few is None else sorted(gallery_plants(), key=step_of)[last:])
         ),
     ]
 

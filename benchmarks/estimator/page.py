@@ -51,25 +51,25 @@ class Results:
 
 
 def run_all(
-    seeds: Sequence[int], in_parallel: Parallel, workers: int, *, first: int | None = None, plants: str = ""
+    seeds: Sequence[int], in_parallel: Parallel, workers: int, *, few: int | None = None, plants: str = ""
 ) -> Results:
-    """Run all cells and required figures; `first` and `plants` as in `_chosen` for a smoke test."""
+    """Run all cells and required figures; `few` and `plants` as in `_chosen` for a smoke test."""
     seeds = tuple(seeds)
-    chosen = _chosen(first, plants)
-    jobs = [(_run_cell, index, seeds, first, plants) for index in range(len(chosen))]
+    chosen = _chosen(few, plants)
+    jobs = [(_run_cell, index, seeds, few, plants) for index in range(len(chosen))]
     scores = in_parallel("plants", jobs, workers)
-    pattern = "" if first is None else f"fault {plants} 12 stuck"
+    pattern = "" if few is None else f"fault {plants} 12 stuck"
     return Results(chosen, scores, must_show.measured(pattern, seeds, in_parallel, workers), seeds)
 
 
-def _chosen(first: int | None, plants: str) -> list[Cell]:
-    """Return the cells, or the first few of each kind and of the plant of that name."""
-    return cells(first, [plant for plant in PLANTS if plants in ("", plant.name)])
+def _chosen(few: int | None, plants: str) -> list[Cell]:
+    """Return the cells, or a few of each kind and of the plant of that name."""
+    return cells(few, [plant for plant in PLANTS if plants in ("", plant.name)])
 
 
-def _run_cell(index: int, seeds: Seeds, first: int | None, plants: str) -> Scores:
+def _run_cell(index: int, seeds: Seeds, few: int | None, plants: str) -> Scores:
     # A worker gets the number, because a cell has functions that cannot be pickled.
-    return compared(_chosen(first, plants)[index], seeds)
+    return compared(_chosen(few, plants)[index], seeds)
 
 
 # -- text
