@@ -60,6 +60,11 @@ def test_the_model_description_has_the_values_and_is_valid(paper, tmp_path):
     assert (done.returncode, "No problems found" in done.stdout) == (0, True), done.stdout + done.stderr
 
 
+def test_minus_zero_is_another_value_than_zero(flexible_joint):
+    one, other = (fmu_with_start_values(flexible_joint.plant, {"load_torque": value}) for value in (0.0, -0.0))
+    assert one != other
+
+
 def test_the_same_values_give_the_same_bytes_and_others_another_guid(flexible_joint, tmp_path):
     guids = set()
     for value in (1e3, 1e4, 1e3):
