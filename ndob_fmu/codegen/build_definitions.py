@@ -34,10 +34,10 @@ def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
         arguments, name = [x, u, w, p], prefix.__add__
         return {
             name("linearisation"): lambda: _function(
-                name("linearisation"), arguments, _linearisation(field, driven, w[1])
+                name("linearisation"), arguments, linearisation(field, driven, w[1])
             ),
-            name("input_slopes"): lambda: _function(name("input_slopes"), arguments, _input_slopes(field, driven)),
-            name("sensitivity"): lambda: _function(name("sensitivity"), arguments, _sensitivity(field, driven)),
+            name("input_slopes"): lambda: _function(name("input_slopes"), arguments, input_slopes(field, driven)),
+            name("sensitivity"): lambda: _function(name("sensitivity"), arguments, sensitivity(field, driven)),
         }
 
     def rate(name: str, w: Array) -> dict[str, Callable[[], Function]]:
@@ -60,7 +60,7 @@ def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
     }
 
 
-def _linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
+def linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
     """Return [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], row by row, where w(x, d) acts through the columns of G_d."""
     of_x, of_d = _slopes_of_rates(field, w, field.parts.A, field.x), field.G_d * slopes(w, d)
     of_y = field.parts.C + slopes(field.parts.output_rest, field.x)
@@ -69,7 +69,7 @@ def _linearisation(field: VectorField, w: Sequence[sympy.Expr], d: Sequence[symp
     return of_state + of_output
 
 
-def _input_slopes(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+def input_slopes(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
     """Return [[∂ẋ/∂u], [∂y/∂u]], row by row."""
     of_u = _slopes_of_rates(field, w, field.parts.B, field.u)
     return [*of_u, *slopes(field.parts.output_rest, field.u)]
@@ -86,7 +86,7 @@ def _slopes_of_rates(
     return total
 
 
-def _sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+def sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
     """Return [[∂ẋ/∂p], [∂y/∂p]], row by row."""
     return list(slopes([*field.derivatives(w), *field.outputs], field.p))
 

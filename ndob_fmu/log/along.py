@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndob_fmu.log.events import Jumps
+from ndob_fmu.log.row_model import NODE_WEIGHTS, RowModel
 from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.step.error_columns import joined
-from ndob_fmu.runtime.step.filter_model import FilterModel
-from ndob_fmu.runtime.step.time_update import predict
 
 # A jump may be as large as from one bound to the other. Inside a step it stands as jumps at three instants, as in
 # `jump_bank`.
 _VARIANCE = 2.0
-_SHARES = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class Start:
 
 
 def record_along(
-    model: FilterModel, samples: Samples, trajectory: Array, intensity: Callable[[float], Array], start: Start
+    rows: RowModel, samples: Samples, trajectory: Array, intensity: Callable[[float], Array], start: Start
 ) -> tuple[LinearRecord, Jumps]:
     """Return a record about a trajectory ξ (K,N), and the columns of jumps of d at each instant.
 
@@ -53,25 +50,25 @@ def record_along(
 
     Raises IntegrationError where the equations cannot be followed along a step.
     """
-    K, N = trajectory.shape
-    p = samples.outputs.shape[1]
-    Phi, noise, shift = np.empty((K - 1, N, N)), np.empty((K - 1, N, N)), np.empty((K - 1, N))
-    rows, misfit = np.empty((K, p, N)), np.empty((K, p))
-    nothing = joined(np.zeros((N, N)), np.zeros((N, 0)), np.zeros((N, 0)))
-    in_step = np.zeros((K, N, len(_SHARES) * model.layout.q))
-    for k, xi in enumerate(trajectory):
-        # A sample belongs to the input until then, which outputs with feed-through show.
-        before = samples.inputs[max(k - 1, 0)].tolist()
-        rows[k] = model.output_slopes(xi, before)
-        misfit[k] = samples.outputs[k] - model.predicted_output(xi, before)
-        if k < K - 1:
-            H, u = float(samples.step[k]), samples.inputs[k].tolist()
-            end = predict(model, xi, nothing, u, H, intensity(H), starting=False)
-            Phi[k], noise[k], shift[k] = end.Phi, end.columns.factor, end.xi - trajectory[k + 1]
-            in_step[k + 1] = np.concatenate(list(end.jumps[1:] * np.sqrt(_VARIANCE * _SHARES)[:, None, None]), axis=1)
+    model, K, N = rows.model, *trajectory.shape
+    # A sample belongs to the input until then, which outputs with feed-through show.
+    before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
+    lengths, which = np.unique(samples.step, return_inverse=True)
+    sizes = np.array([model.noise_sizes(intensity(H), H) for H in lengths.tolist()])[which]
+    steps = rows.steps(trajectory[:-1], samples.inputs[:-1], samples.step, model.noise_directions)
+    in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
+    jumps = steps.jumps * np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None, None] * model.bound
+    in_step[1:] = jumps.transpose(0, 2, 1, 3).reshape(K - 1, N, -1)
+    noise = steps.noise * sizes[:, :, None, None]
     record = LinearRecord(
-        Phi, noise, shift, rows, misfit, samples.noise_variance, start.xi - trajectory[0], start.factor
+        Phi=steps.Phi,
+        noise=noise.transpose(0, 2, 1, 3).reshape(K - 1, N, -1),
+        shift=steps.end - trajectory[1:],
+        rows=rows.output_slopes(trajectory, before),
+        misfit=samples.outputs - rows.output(trajectory, before),
+        variance=samples.noise_variance,
+        start=start.xi - trajectory[0],
+        start_factor=start.factor,
     )
-    bounds = np.tile(model.bound, len(_SHARES))
     at_sample = np.sqrt(_VARIANCE) * model.jump_channel * model.bound
-    return record, Jumps(np.broadcast_to(at_sample, (K, *at_sample.shape)), in_step * bounds)
+    return record, Jumps(np.broadcast_to(at_sample, (K, *at_sample.shape)), in_step)

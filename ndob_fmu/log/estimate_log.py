@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.estimate_figures import Thinned, write_figures
@@ -104,7 +105,11 @@ def estimate_log(
     table, kept = ResultTable(eq, before, smooths=smooths), Thinned()
     counts, tally = _Counts(), ResidualTally(len(eq.outputs), start_samples(sampled))
     stretches = along(observer, x_hat, chain([first], blocks))
-    pairs = smooth(sampled, x_hat, stretches) if smooths else ((stretch, None) for stretch in stretches)
+    pairs = (
+        smooth(sampled, row_functions(model), x_hat, stretches)
+        if smooths
+        else ((stretch, None) for stretch in stretches)
+    )
 
     def rows() -> Iterator[Recording]:
         for stretch, smoothed in pairs:

@@ -13,12 +13,13 @@ smooths again, which also shows which events are not needed any more.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import log
 
 import numpy as np
 
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, backward, forward
+from ndob_fmu.log.pieces import CutRecord
+from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord
 from ndob_fmu.runtime.arrays import Array
 
 # As online, a jump is expected every three hundredth sample, in seven of ten cases at a sample. An outlier is expected
@@ -68,7 +69,7 @@ class Explained:
     adjoint: Adjoint
 
 
-def explained(record: LinearRecord, columns: Jumps, spacing: int, first: int, known: Events | None = None) -> Explained:
+def explained(cut: CutRecord, columns: Jumps, spacing: int, first: int, known: Events | None = None) -> Explained:
     """Return a record with the events that explain it.
 
     columns: J of jumps
@@ -78,7 +79,7 @@ def explained(record: LinearRecord, columns: Jumps, spacing: int, first: int, kn
     """
     events = known or Events()
     for _ in range(_MOST_PASSES):
-        found = _with(record, columns, events)
+        found = with_events(cut, columns, events)
         better = _better(found, columns, spacing, first)
         if better == events:
             break
@@ -86,13 +87,13 @@ def explained(record: LinearRecord, columns: Jumps, spacing: int, first: int, kn
     return found
 
 
-def _with(record: LinearRecord, columns: Jumps, events: Events) -> Explained:
-    variance = record.variance.copy()
+def with_events(cut: CutRecord, columns: Jumps, events: Events) -> Explained:
+    """Return what the smoother finds in a record with some events."""
+    variance = cut.whole.variance.copy()
     for k, i in events.outliers:
         variance[k, i] *= _OUTLIER**2
-    told = replace(record, variance=variance)
-    run = forward(told, {k: columns.of(k, in_step) for k, in_step in events.jumps.items()})
-    return Explained(record, events, run, backward(told, run))
+    run, adjoint = cut.passes(variance, {k: columns.of(k, in_step) for k, in_step in events.jumps.items()})
+    return Explained(cut.whole, events, run, adjoint)
 
 
 def _better(found: Explained, columns: Jumps, spacing: int, first: int) -> Events:

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.along import Samples, Start, record_along
 from ndob_fmu.log.events import Events, Explained, explained
 from ndob_fmu.log.online import Stretch
+from ndob_fmu.log.pieces import cut_record
+from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smoother import smoothed
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
@@ -25,6 +28,8 @@ _SURE = 200
 # The equations are linearised along the online estimate, then along the smoothed one.
 _LINEARISATIONS = 2
 _LEAST_SPACING = 3
+# A filter has forgotten its start after so many spacings of jumps, a quarter of 1/bandwidth each, and rows.
+_FORGOTTEN, _LEAST_OVERLAP = 60.0, 50
 
 
 @dataclass(frozen=True)
@@ -54,9 +59,11 @@ def start_samples(observer: SampledObserver) -> int:
 
 
 def smooth(
-    observer: SampledObserver, x_hat: Vector, stretches: Iterator[Stretch]
+    observer: SampledObserver, functions: RowFunctions, x_hat: Vector, stretches: Iterator[Stretch]
 ) -> Iterator[tuple[Stretch, SmoothedStretch]]:
     """Yield each stretch of a log with its smoothed estimate, for an observer that ran along it from x̂₀ (n,).
+
+    functions: the model's equations for many rows
 
     A stretch is smoothed together with the first rows of the next one.
 
@@ -64,12 +71,13 @@ def smooth(
     """
     stretch = next(stretches)
     tuned = observer.tuned(stretch.usual)
+    equations = RowModel(tuned.model, functions)
     xi = observer.layout.unpacked(observer.init(x_hat).xi_hat)
     start, started = Start(xi, np.diag(tuned.model.start_std)), tuned.model.start_samples
     while True:
         following = next(stretches, None)
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
-        found, trajectory = _explained(observer, tuned, part, start, started)
+        found, trajectory = _explained(tuned, equations, part, start, started)
         K = len(stretch.log.time)
         yield stretch, _result(tuned.model, found, trajectory, K)
         if following is None:
@@ -79,9 +87,7 @@ def smooth(
         stretch = following
 
 
-def _explained(
-    observer: SampledObserver, tuned: Tuned, part: Stretch, start: Start, started: int
-) -> tuple[Explained, Array]:
+def _explained(tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int) -> tuple[Explained, Array]:
     """Return a stretch as its events explain it, and the trajectory (K,N) about which it is linear.
 
     started: rows of the start, in which the disturbance is unknown anyway
@@ -90,11 +96,13 @@ def _explained(
     samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, _noise_variance(model, said.noise_ratio))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = max(_LEAST_SPACING, round(2.0 * model.jump_spacing / tuned.H))
+    forgotten = max(_LEAST_OVERLAP, round(_FORGOTTEN * model.jump_spacing / tuned.H))
     as_told = [1.0] * samples.outputs.shape[1]
-    trajectory = np.array([observer.layout.unpacked(row) for row in said.predicted])
+    trajectory = np.array([model.layout.unpacked(row) for row in said.predicted])
     for _ in range(1 if model.is_linear else _LINEARISATIONS):
-        record, columns = record_along(model, samples, trajectory, lambda H: tuned.intensity(H, as_told), start)
-        found = explained(record, columns, spacing, started, events)
+        record, columns = record_along(equations, samples, trajectory, lambda H: tuned.intensity(H, as_told), start)
+        cut = cut_record(record, forgotten, model.start_std)
+        found = explained(cut, columns, spacing, started, events)
         about, events = trajectory, found.events
         trajectory = about + smoothed(found.forward, found.adjoint).xi
     return found, about

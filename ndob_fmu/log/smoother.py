@@ -17,21 +17,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import log, pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.numerics.kalman import triangular
 
 
 @dataclass(frozen=True)
 class LinearRecord:
-    """A record about a trajectory, K instants.
+    """A record about a trajectory, K instants; or several records of K instants, which have a second axis then.
 
-    Phi (K-1,N,N), noise (K-1,N,N), shift (K-1,N): Φ, N and a of each step
-    rows (K,p,N), misfit (K,p), variance (K,p): C, e and R of each sample; e is NaN where there is none
-    start_factor (N,N): of the covariance of ξ_0, whose mean is `start` (N,)
+    Phi (K-1,…,N,N), noise (K-1,…,N,·), shift (K-1,…,N): Φ, N and a of each step
+    rows (K,…,p,N), misfit (K,…,p), variance (K,…,p): C, e and R of each sample; e is NaN where there is none
+    start_factor (…,N,N): of the covariance of ξ_0, whose mean is `start` (…,N)
     """
 
     Phi: Array
@@ -48,9 +47,8 @@ class LinearRecord:
 class Forward:
     """What the filter finds.
 
-    xi (K,N), factor (K,N,N): ξ̂⁻ and S
-    gain (K,p,N), innovation (K,p), alpha (K,p): of each sample; 0, 0 and ∞ where there is none
-    log_likelihood: of all innovations
+    xi (K,…,N), factor (K,…,N,N): ξ̂⁻ and S
+    gain (K,…,p,N), innovation (K,…,p), alpha (K,…,p): of each sample; 0, 0 and ∞ where there is none
     """
 
     xi: Array
@@ -58,29 +56,33 @@ class Forward:
     gain: Array
     innovation: Array
     alpha: Array
-    log_likelihood: float
+
+    @property
+    def log_likelihoods(self) -> Array:
+        """Of the samples of each instant (K,…)."""
+        there = np.isfinite(self.alpha)
+        alpha = np.where(there, self.alpha, 1.0)
+        each = np.where(there, np.log(2.0 * np.pi * alpha) + self.innovation**2 / alpha, 0.0)
+        return np.asarray(-0.5 * each.sum(axis=-1))
 
 
 @dataclass(frozen=True)
 class Adjoint:
     """Scores of the likelihood and their variances.
 
-    of_state (K,N), of_state_variance (K,N,N): λ and Λ before the samples of an instant
-    after (K,N), after_variance (K,N,N): λ and Λ behind them
-    of_sample (K,p), of_sample_variance (K,p): u and D; 0 where there is no sample
+    of_state (K,…,N), of_state_variance (K,…,N,N): λ and Λ before the samples of an instant
+    of_sample (K,…,p), of_sample_variance (K,…,p): u and D; 0 where there is no sample
     """
 
     of_state: Array
     of_state_variance: Array
-    after: Array
-    after_variance: Array
     of_sample: Array
     of_sample_variance: Array
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The smoothed errors ξ (K,N), and factors (K,N,N) of their covariances."""
+    """The smoothed errors ξ (K,…,N), and their covariances (K,…,N,N)."""
 
     xi: Array
     covariance: Array
@@ -89,63 +91,82 @@ class Smoothed:
 def forward(record: LinearRecord, jumps: Mapping[int, Array] | None = None) -> Forward:
     """Filter a record.
 
-    jumps: columns (N,·) that are added to the factor of P⁻ at an instant
+    jumps: columns (…,N,·) that are added to the factor of P⁻ at an instant
     """
-    (K, p, N), added = record.rows.shape, jumps or {}
-    xis, factors, gains = np.empty((K, N)), np.empty((K, N, N)), np.zeros((K, p, N))
-    innovations, alphas = np.zeros((K, p)), np.full((K, p), np.inf)
-    xi, S, total = record.start, record.start_factor, 0.0
-    measured = np.isfinite(record.misfit)
+    K, added = len(record.rows), jumps or {}
+    several, (p, N) = record.rows.shape[1:-2], record.rows.shape[-2:]
+    found = Forward(
+        xi=np.empty((K, *several, N)),
+        factor=np.empty((K, *several, N, N)),
+        gain=np.zeros((K, *several, p, N)),
+        innovation=np.zeros((K, *several, p)),
+        alpha=np.full((K, *several, p), np.inf),
+    )
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(record.misfit))
+    there, misfit = measured.reshape(K, -1, p).max(axis=1), np.where(measured, record.misfit, 0.0)
+    xi, S = record.start, record.start_factor
     for k in range(K):
         if k in added:
-            S = triangular(np.concatenate([S, added[k]], axis=1))
-        xis[k], factors[k] = xi, S
+            S = lower_factor(np.concatenate([S, added[k]], axis=-1))
+        found.xi[k], found.factor[k] = xi, S
         for i in range(p):
-            if not measured[k, i]:
+            if not there[k, i]:
                 continue
-            c, R = record.rows[k, i], float(record.variance[k, i])
-            f = c @ S
-            alpha = float(f @ f) + R
-            gain, e = (S @ f) / alpha, float(record.misfit[k, i] - c @ xi)
-            xi = xi + gain * e
-            S = S - (gain / (1.0 + sqrt(R / alpha)))[:, None] * f
-            gains[k, i], innovations[k, i], alphas[k, i] = gain, e, alpha
-            total -= 0.5 * (log(2.0 * pi * alpha) + e * e / alpha)
+            c, R, known = record.rows[k, ..., i, :], record.variance[k, ..., i], measured[k, ..., i]
+            f = np.matmul(c[..., None, :], S)[..., 0, :]
+            alpha = (f * f).sum(axis=-1) + R
+            gain = np.matmul(S, f[..., None])[..., 0] * (known / alpha)[..., None]
+            e = known * (misfit[k, ..., i] - (c * xi).sum(axis=-1))
+            xi = xi + gain * e[..., None]
+            S = S - (gain / (1.0 + np.sqrt(R / alpha))[..., None])[..., :, None] * f[..., None, :]
+            found.gain[k, ..., i, :], found.innovation[k, ..., i] = gain, e
+            found.alpha[k, ..., i] = np.where(known, alpha, np.inf)
         if k < K - 1:
-            xi = record.Phi[k] @ xi + record.shift[k]
-            S = triangular(np.concatenate([record.Phi[k] @ S, record.noise[k]], axis=1))
-    return Forward(xis, factors, gains, innovations, alphas, total)
+            xi = np.matmul(record.Phi[k], xi[..., None])[..., 0] + record.shift[k]
+            S = lower_factor(np.concatenate([record.Phi[k] @ S, record.noise[k]], axis=-1))
+    return found
 
 
 def backward(record: LinearRecord, found: Forward) -> Adjoint:
     """Return the adjoint of a filtered record."""
-    K, p, N = record.rows.shape
-    before, before_variance = np.empty((K, N)), np.empty((K, N, N))
-    after, after_variance = np.empty((K, N)), np.empty((K, N, N))
-    u, D = np.zeros((K, p)), np.zeros((K, p))
-    score, variance = np.zeros(N), np.zeros((N, N))
-    measured = np.isfinite(found.alpha)
+    K = len(record.rows)
+    several, (p, N) = record.rows.shape[1:-2], record.rows.shape[-2:]
+    of_state, of_variance = np.empty((K, *several, N)), np.empty((K, *several, N, N))
+    u, D = np.zeros((K, *several, p)), np.zeros((K, *several, p))
+    score, variance = np.zeros((*several, N)), np.zeros((*several, N, N))
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(found.alpha))
+    there, per_alpha = measured.reshape(K, -1, p).max(axis=1), 1.0 / found.alpha
     for k in range(K - 1, -1, -1):
-        after[k], after_variance[k] = score, variance
         for i in range(p - 1, -1, -1):
-            if not measured[k, i]:
+            if not there[k, i]:
                 continue
-            c, gain, alpha = record.rows[k, i], found.gain[k, i], found.alpha[k, i]
-            seen = variance @ gain
-            u[k, i], D[k, i] = found.innovation[k, i] / alpha - gain @ score, 1.0 / alpha + gain @ seen
-            score = score + c * u[k, i]
-            across = c[:, None] * (0.5 * D[k, i] * c - seen)
-            variance = variance + across + across.T
-        before[k], before_variance[k] = score, variance
+            known, gain = measured[k, ..., i], found.gain[k, ..., i, :]
+            c = record.rows[k, ..., i, :] * known[..., None]
+            seen = np.matmul(variance, gain[..., None])[..., 0]
+            u[k, ..., i] = found.innovation[k, ..., i] * per_alpha[k, ..., i] - (gain * score).sum(axis=-1)
+            D[k, ..., i] = per_alpha[k, ..., i] + (gain * seen).sum(axis=-1)
+            score = score + c * u[k, ..., i, None]
+            across = c[..., :, None] * (0.5 * D[k, ..., i, None] * c - seen)[..., None, :]
+            variance = variance + across + np.swapaxes(across, -1, -2)
+        of_state[k], of_variance[k] = score, variance
         if k:
-            score = score @ record.Phi[k - 1]
-            variance = record.Phi[k - 1].T @ variance @ record.Phi[k - 1]
-    return Adjoint(before, before_variance, after, after_variance, u, D)
+            back = np.swapaxes(record.Phi[k - 1], -1, -2)
+            score = np.matmul(back, score[..., None])[..., 0]
+            variance = back @ variance @ record.Phi[k - 1]
+    return Adjoint(of_state, of_variance, u, D)
 
 
 def smoothed(found: Forward, adjoint: Adjoint) -> Smoothed:
     """Return the smoothed errors of a record."""
-    S, St = found.factor, np.swapaxes(found.factor, 1, 2)
-    xi = found.xi + np.einsum("kij,kj->ki", S, np.einsum("kji,kj->ki", S, adjoint.of_state))
-    covariance = S @ (np.eye(S.shape[1]) - St @ adjoint.of_state_variance @ S) @ St
+    S, St = found.factor, np.swapaxes(found.factor, -1, -2)
+    xi = found.xi + (S @ (St @ adjoint.of_state[..., None]))[..., 0]
+    covariance = S @ (np.eye(S.shape[-1]) - St @ adjoint.of_state_variance @ S) @ St
     return Smoothed(xi, covariance)
+
+
+def lower_factor(rows: Array) -> Array:
+    """Return lower triangles T (…,m,m) with T Tᵀ = rows rowsᵀ, for rows (…,m,·)."""
+    m, columns = rows.shape[-2:]
+    if columns < m:
+        rows = np.concatenate([rows, np.zeros((*rows.shape[:-1], m - columns))], axis=-1)
+    return np.asarray(np.swapaxes(np.linalg.qr(np.swapaxes(rows, -1, -2), mode="r"), -1, -2))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ndob_fmu.log.events import Events, Jumps, explained
+from ndob_fmu.log.events import Events, Jumps, explained, with_events
+from ndob_fmu.log.pieces import cut_record
 from ndob_fmu.log.smoother import LinearRecord, backward, forward, smoothed
 from tests.helpers.batch_estimate import Batch
 
@@ -59,7 +60,9 @@ def test_forward_and_backward_together_are_the_least_squares_solution(N, p, K, j
 def test_the_likelihoods_of_two_records_differ_as_those_of_all_samples_at_once():
     """The constant that the batch leaves out depends on the number of samples only."""
     records = [random_record(3, 2, 12, seed, missing=0.0) for seed in (5, 6)]
-    own, batch = zip(*((forward(r).log_likelihood, batch_of(r, {}).log_likelihood()) for r in records), strict=True)
+    own, batch = zip(
+        *((forward(r).log_likelihoods.sum(), batch_of(r, {}).log_likelihood()) for r in records), strict=True
+    )
     assert own[0] - own[1] == pytest.approx(batch[0] - batch[1], rel=1e-9)
 
 
@@ -74,11 +77,11 @@ def test_the_adjoint_is_the_slope_of_the_likelihood():
         for sign in (1.0, -1.0):
             shift[k - 1] = record.shift[k - 1] + sign * step * direction
             moved = LinearRecord(**{**vars(record), "shift": shift})
-            ends.append(forward(moved).log_likelihood)
+            ends.append(forward(moved).log_likelihoods.sum())
         assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(adjoint.of_state[k] @ direction, rel=1e-5)
 
 
-def double_integrator(K, d, seed, sigma=1e-3, rate=0.05, H=0.01):
+def double_integrator(K, d, seed, sigma=1e-3, rate=0.05, H=0.01, overlap=None, bad=()):
     """A record of ẍ = d, of which x is measured, and the columns of jumps of at most ± 3."""
     random = np.random.default_rng(seed)
     Phi = np.array([[1.0, H, H**2 / 2], [0.0, 1.0, H], [0.0, 0.0, 1.0]])
@@ -103,7 +106,11 @@ def double_integrator(K, d, seed, sigma=1e-3, rate=0.05, H=0.01):
     nodes = np.array([0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5])
     left = H * (1.0 - nodes)
     one = np.array([left**2 / 2, left, np.ones(3)]) * np.sqrt(np.array([5, 8, 5]) / 18.0) * jump
-    return record, Jumps(at_sample, np.broadcast_to(one, (K, 3, 3)))
+    for k, error in bad:
+        record.misfit[k] += error
+    return cut_record(record, K if overlap is None else overlap, np.array([0.1, 0.1, 3.0])), Jumps(
+        at_sample, np.broadcast_to(one, (K, 3, 3))
+    )
 
 
 def test_a_steady_disturbance_has_no_events():
@@ -119,15 +126,14 @@ def test_a_jump_is_found_where_it_is(size):
     assert len(found.events.jumps) == 1
     assert abs(next(iter(found.events.jumps)) - 250) <= 3
     error = smoothed(found.forward, found.adjoint).xi[:, 2] - d
-    without = forward(record)
-    plain = smoothed(without, backward(record, without)).xi[:, 2] - d
+    without = forward(record.whole)
+    plain = smoothed(without, backward(record.whole, without)).xi[:, 2] - d
     assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(plain**2))
 
 
 def test_outliers_are_found_and_do_not_become_jumps():
-    record, columns = double_integrator(600, np.full(600, 0.7), seed=3)
-    bad = [100, 101, 300, 480]
-    record.misfit[bad, 0] += [0.1, -0.2, 0.05, 3.0]
+    bad = {100: 0.1, 101: -0.2, 300: 0.05, 480: 3.0}
+    record, columns = double_integrator(600, np.full(600, 0.7), seed=3, bad=bad.items())
     known = Events(outliers=frozenset({(101, 0)}))  # as the observer has refused
     assert explained(record, columns, 20, 9, known).events == Events({}, frozenset((k, 0) for k in bad))
 
@@ -136,3 +142,23 @@ def test_what_is_no_event_after_all_is_given_up():
     record, columns = double_integrator(600, np.full(600, 0.7), seed=4)
     known = Events({200: False, 400: True}, frozenset({(77, 0)}))
     assert explained(record, columns, 5, 9, known).events == Events()
+
+
+def test_pieces_side_by_side_find_what_the_whole_record_says():
+    d = np.where(np.arange(900) < 400, 0.2, 1.5)
+    bad = {160: 0.1, 700: -0.2}.items()
+    events = Events({400: False, 650: True}, frozenset({(160, 0), (700, 0)}))
+    (whole, columns), (cut, _) = (double_integrator(900, d, 7, rate=3.0, overlap=o, bad=bad) for o in (None, 60))
+    assert len(whole.pieces.first) == 1 < len(cut.pieces.first)
+    one, many = (with_events(record, columns, events) for record in (whole, cut))
+    expected, found = (smoothed(run.forward, run.adjoint) for run in (one, many))
+    std = np.sqrt(np.diagonal(expected.covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(found.xi / std, expected.xi / std, rtol=0, atol=1e-3)
+    own = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(own, std, rtol=1e-3)
+    np.testing.assert_allclose(many.adjoint.of_sample_variance, one.adjoint.of_sample_variance, rtol=1e-3)
+
+
+def test_a_record_whose_start_is_not_forgotten_stays_whole():
+    cut, _ = double_integrator(900, np.full(900, 0.2), 8, rate=1e-4, overlap=10)
+    assert len(cut.pieces.first) == 1

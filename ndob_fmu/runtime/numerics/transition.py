@@ -38,7 +38,8 @@ def _series_weights() -> Array:
     return weights
 
 
-_WEIGHTS = np.ascontiguousarray(_series_weights().T)
+# Row k: of F^k g in the columns of N.
+SERIES_WEIGHTS = np.ascontiguousarray(_series_weights().T)
 _FACTORIALS = np.array([float(factorial(k)) for k in range(_POWERS + 1)])
 
 
@@ -112,5 +113,5 @@ def _sum(powers: Array, weights: Array) -> Array:
 def _short(powers: Array, channel: Array, h: float) -> Array:
     N, count = channel.shape
     terms = powers[:_TERMS] @ (channel * h**0.5)
-    columns = (_WEIGHTS @ terms.reshape(_TERMS, -1)).reshape(_TERMS, N, count)
+    columns = (SERIES_WEIGHTS @ terms.reshape(_TERMS, -1)).reshape(_TERMS, N, count)
     return np.asarray(columns.transpose(1, 0, 2).reshape(N, -1))

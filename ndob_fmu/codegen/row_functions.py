@@ -1,0 +1,73 @@
+"""A model's equations for many rows at once: functions of arrays instead of numbers, as a whole log needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import sympy
+
+from ndob_fmu.codegen.build_definitions import input_slopes, linearisation, sensitivity
+from ndob_fmu.codegen.once_per_model import once_per_model
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.arrays import Array
+
+# x (K,n), u (K,m), d (K,q2), p (K,n_p) → (K,…)
+RowFunction = Callable[[Array, Array, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class RowFunctions:
+    """The functions of `runtime.equations.Equations` for K rows: x (K,n), u (K,m), d (K,q2) and p (K,n_p).
+
+    A row without a value has NaN.
+
+    derivatives: ẋ (K,n)
+    output: y (K,p)
+    slopes: [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], (K,n + p,n + q2)
+    input_slopes: [[∂ẋ/∂u], [∂y/∂u]], (K,n + p,m)
+    sensitivity: [[∂ẋ/∂p], [∂y/∂p]], (K,n + p,n_p)
+    """
+
+    derivatives: RowFunction = field(repr=False)
+    output: RowFunction = field(repr=False)
+    slopes: RowFunction = field(repr=False)
+    input_slopes: RowFunction = field(repr=False)
+    sensitivity: RowFunction = field(repr=False)
+
+
+@once_per_model
+def row_functions(model: Model) -> RowFunctions:
+    """Return the equations of a model without a channel for many rows."""
+    f = model.vector_field
+    symbols, rows = (f.x, f.u, f.d, f.p), len(f.x) + len(f.outputs)
+    return RowFunctions(
+        derivatives=_function(symbols, f.derivatives(f.d), (len(f.x),)),
+        output=_function(symbols, f.outputs, (len(f.outputs),)),
+        slopes=_function(symbols, linearisation(f, f.d, f.d), (rows, len(f.x) + len(f.d))),
+        input_slopes=_function(symbols, input_slopes(f, f.d), (rows, len(f.u))),
+        sensitivity=_function(symbols, sensitivity(f, f.d), (rows, len(f.p))),
+    )
+
+
+def _function(
+    symbols: Sequence[Sequence[sympy.Symbol]], expressions: Sequence[sympy.Expr], shape: tuple[int, ...]
+) -> RowFunction:
+    evaluate = sympy.lambdify(
+        [symbol for group in symbols for symbol in group],
+        list(expressions),
+        modules=["numpy", "scipy"],
+        cse=True,
+        dummify=True,
+    )
+
+    def of_rows(*groups: Array) -> Array:
+        K = len(groups[0])
+        found = np.empty((K, len(expressions)))
+        with np.errstate(all="ignore"):
+            for column, value in enumerate(evaluate(*(values for group in groups for values in group.T))):
+                found[:, column] = value
+        return found.reshape(K, *shape)
+
+    return of_rows

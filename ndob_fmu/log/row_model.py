@@ -1,0 +1,187 @@
+"""The equations of `FilterModel` for all rows of a log at once, and the step from each row to the next one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ndob_fmu.codegen.row_functions import RowFunction, RowFunctions
+from ndob_fmu.log.row_transition import row_transition
+from ndob_fmu.log.smoother import lower_factor
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS
+from ndob_fmu.runtime.step.time_update import predict_mean
+
+# A part of a step is short enough for Runge's and Kutta's method and for a constant F where ‖F h‖ is below this. Where
+# it would take more parts, each row is predicted by itself, by a method for stiff equations.
+_SHORT = 0.25
+_MOST_PARTS = 16
+# What is left of a step after the instants of jumps inside it, and their weights.
+_AFTER = np.array(AFTER_JUMPS[1:])
+NODE_WEIGHTS = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])
+
+
+@dataclass(frozen=True)
+class RowSteps:
+    """The steps from K rows.
+
+    end (K,N): ξ at the end
+    Phi (K,N,N): Φ of the step
+    noise (K,c,N,N): for each column of a channel, a factor of the covariance that white noise through it adds
+    jumps (K,3,N,q2): responses at the end to jumps of d at three nodes within the step
+    """
+
+    end: Array
+    Phi: Array
+    noise: Array
+    jumps: Array
+
+
+@dataclass(frozen=True)
+class RowModel:
+    """An observer's equations for rows ξ (K,N) and u (K,m).
+
+    Outside the ranges of states and inputs they go on along their tangent, as `design.ranges` says.
+    """
+
+    model: FilterModel
+    functions: RowFunctions
+
+    def output(self, xi: Array, u: Array) -> Array:
+        """Return ŷ (K,p), offsets included."""
+        layout = self.model.layout
+        y = self._value(self.functions.output, slice(layout.n, None), xi, u)
+        for place, output in enumerate(layout.biased):
+            y[:, output] += xi[:, layout.biases.start + place]
+        return y
+
+    def output_slopes(self, xi: Array, u: Array) -> Array:
+        """Return C (K,p,N)."""
+        layout, n = self.model.layout, self.model.layout.n
+        both, by_parameters = self._slopes(xi, u)
+        C = np.zeros((len(xi), both.shape[1] - n, layout.size))
+        C[:, :, :n] = both[:, n:, :n]
+        C[:, :, layout.parameters] = by_parameters[:, n:]
+        for place, output in enumerate(layout.biased):
+            C[:, output, layout.biases.start + place] = 1.0
+        return C
+
+    def steps(self, xi: Array, u: Array, H: Array, channel: Array) -> RowSteps:
+        """Return the steps of H (K,) s from each row, and what white noise through a channel (N,c) adds.
+
+        Raises IntegrationError where the equations cannot be followed.
+        """
+        F = self._rates_slopes(xi, u)
+        units = self.model.units(np.max(np.abs(F), axis=0), float(np.max(H)))
+        size = (np.abs(F) * (units / units[:, None])).sum(axis=1).max(axis=1) * H
+        if not np.isfinite(size).all():
+            raise _left_the_numbers()
+        K, N, c, q = len(xi), *channel.shape, self.model.layout.q
+        parts = np.minimum(2 ** np.ceil(np.log2(np.maximum(size / _SHORT, 1.0))), _MOST_PARTS).astype(int)
+        found = RowSteps(
+            np.empty((K, N)), np.empty((K, N, N)), np.empty((K, c, N, N)), np.empty((K, len(_AFTER), N, q))
+        )
+        for count in sorted({*parts.tolist()}):
+            rows = np.flatnonzero(parts == count)
+            stiff = bool(np.max(size[rows]) > count * _SHORT)
+            part = self._steps_in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, int(count), stiff=stiff)
+            found.end[rows], found.Phi[rows] = part.end, part.Phi
+            found.noise[rows], found.jumps[rows] = part.noise, part.jumps
+        return found
+
+    def _steps_in_parts(
+        self, xi: Array, u: Array, H: Array, F: Array, channel: Array, units: Array, parts: int, *, stiff: bool
+    ) -> RowSteps:
+        """Return steps in so many parts; F (K,N,N) is that of their start."""
+        K, N, c = len(xi), *channel.shape
+        h, first, jump = H / parts, F, self.model.jump_channel
+        Phi, noise = np.broadcast_to(np.eye(N), (K, N, N)), np.zeros((K, c, N, 0))
+        for _ in range(parts):
+            xi = self._predicted_one_by_one(xi, u, h) if stiff else self._runge_kutta(xi, u, h[:, None])
+            F_end = self._rates_slopes(xi, u)
+            if not np.isfinite(F_end).all():
+                raise _left_the_numbers()
+            done = row_transition(0.5 * (F + F_end), channel, h, jump, _AFTER, units)
+            noise = np.concatenate([done.Phi[:, None] @ noise, done.noise], axis=-1)
+            Phi, F = done.Phi @ Phi, F_end
+        if parts > 1:
+            noise = lower_factor(noise)
+            done = row_transition(0.5 * (first + F), channel[:, :0], H, jump, _AFTER, units)
+        return RowSteps(xi, Phi, noise, done.responses)
+
+    def _runge_kutta(self, xi: Array, u: Array, h: Array) -> Array:
+        k1 = self._rates(xi, u)
+        k2 = self._rates(xi + 0.5 * h * k1, u)
+        k3 = self._rates(xi + 0.5 * h * k2, u)
+        k4 = self._rates(xi + h * k3, u)
+        return np.asarray(xi + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+    def _predicted_one_by_one(self, xi: Array, u: Array, h: Array) -> Array:
+        rows = zip(xi, u.tolist(), h.tolist(), strict=True)
+        return np.array([predict_mean(self.model, row, inputs, step) for row, inputs, step in rows])
+
+    def _rates(self, xi: Array, u: Array) -> Array:
+        """Return ξ' (K,N)."""
+        n = self.model.layout.n
+        rates = xi @ self.model.layout.chain.T
+        rates[:, :n] = self._value(self.functions.derivatives, slice(n), xi, u)
+        return np.asarray(rates)
+
+    def _rates_slopes(self, xi: Array, u: Array) -> Array:
+        """Return F (K,N,N)."""
+        layout, n = self.model.layout, self.model.layout.n
+        both, by_parameters = self._slopes(xi, u)
+        F = np.tile(layout.chain, (len(xi), 1, 1))
+        F[:, :n, :n] = both[:, :n, :n]
+        if layout.order:
+            F[:, :n, layout.disturbance] = both[:, :n, n:]
+        F[:, :n, layout.parameters] = by_parameters[:, :n] * (1.0 - self.model.like_disturbance)
+        return F
+
+    def _value(self, function: RowFunction, rows: slice, xi: Array, u: Array) -> Array:
+        x_in, u_in, d, p = self._arguments(xi, u)
+        value = function(x_in, u_in, d, p)
+        x = xi[:, : self.model.layout.n]
+        outside = np.flatnonzero((x != x_in).any(axis=1) | (u != u_in).any(axis=1))
+        if len(outside):
+            at = [part[outside] for part in (x_in, u_in, d, p)]
+            by_x = self.functions.slopes(*at)[:, rows, : x.shape[1]]
+            by_u = self.functions.input_slopes(*at)[:, rows]
+            value[outside] += (by_x @ (x - x_in)[outside, :, None])[:, :, 0]
+            value[outside] += (by_u @ (u - u_in)[outside, :, None])[:, :, 0]
+        return value
+
+    def _slopes(self, xi: Array, u: Array) -> tuple[Array, Array]:
+        """Return the slopes of ẋ and y, (K,n + p,n + q2), and those by uncertain parameters."""
+        arguments, uncertain = self._arguments(xi, u), self.model.layout.uncertain
+        both = self.functions.slopes(*arguments)
+        if not uncertain:
+            return both, np.zeros((*both.shape[:2], 0))
+        return both, self.functions.sensitivity(*arguments)[:, :, list(uncertain)]
+
+    def _arguments(self, xi: Array, u: Array) -> tuple[Array, Array, Array, Array]:
+        """Return x and u inside their ranges, d and p."""
+        model, layout = self.model, self.model.layout
+        of_x, of_u = self._limits
+        d = xi[:, layout.disturbance] if layout.order else np.zeros((len(xi), layout.q))
+        p = np.tile(np.array(model.parameters, dtype=float), (len(xi), 1))
+        if any(model.settings.estimated[i] for i in layout.uncertain):
+            p[:, list(layout.uncertain)] = xi[:, layout.parameters]
+        return np.clip(xi[:, : layout.n], *of_x), np.clip(u, *of_u), d, p
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array]:
+        eq, free = self.model.equations, (-np.inf, np.inf)
+        of_x, of_u = (
+            np.array([eq.ranges.get(name, free) for name in names], dtype=float).reshape(-1, 2).T
+            for names in (eq.states, eq.inputs)
+        )
+        return of_x, of_u
+
+
+def _left_the_numbers() -> IntegrationError:
+    return IntegrationError("the observer's estimate leaves the finite numbers")

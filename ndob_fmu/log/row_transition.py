@@ -1,0 +1,72 @@
+"""`numerics.transition` for many steps at once."""
+
+from __future__ import annotations
+
+from math import ceil, factorial, log2
+from typing import NamedTuple
+
+import numpy as np
+
+from ndob_fmu.log.smoother import lower_factor
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.numerics.transition import SERIES_WEIGHTS
+
+# With ‖F h‖ ≤ 1/4 the terms left out are below rounding in Φ, and below 1e-12 in N.
+_TERMS = len(SERIES_WEIGHTS)
+_RADIUS = 0.25
+
+
+class RowTransition(NamedTuple):
+    """K steps of ξ' = F ξ + g w.
+
+    Phi (K,N,N): Φ
+    noise (K,c,N,N): for each column of g, a factor of the noise's covariance
+    responses (K,parts,N,h): e^{F s H} of the held columns, for each part s of the step
+    """
+
+    Phi: Array
+    noise: Array
+    responses: Array
+
+
+def row_transition(F: Array, channel: Array, H: Array, held: Array, parts: Array, units: Array) -> RowTransition:
+    """Return steps H (K,) s for F (K,N,N), the noise's channel g (N,c) and `held` columns (N,h).
+
+    units (N,): of ξ, in which ‖F‖ is measured
+    """
+    rows = units[:, None]
+    Phi, noise, responses = _in_units(F * (units / rows), channel / rows, H, held / rows, parts)
+    return RowTransition(Phi * (rows / units), noise * rows, responses * rows)
+
+
+def _in_units(F: Array, channel: Array, H: Array, held: Array, parts: Array) -> RowTransition:
+    size = float(np.max(np.abs(F).sum(axis=1).max(axis=1) * H, initial=0.0))
+    doublings = max(0, ceil(log2(size / _RADIUS))) if size > _RADIUS else 0
+    h = (H / 2.0**doublings)[:, None, None]
+    powers = _powers(F * h)
+    Phi, noise = np.asarray(powers.sum(axis=0)), _short_noise(powers, channel, h)
+    if not doublings:
+        return RowTransition(Phi, noise, _at_parts(powers, held, parts))
+    for _ in range(doublings):
+        noise = lower_factor(np.concatenate([noise, Phi[:, None] @ noise], axis=-1))
+        Phi = Phi @ Phi
+    ends = [_in_units(F, channel[:, :0], part * H, held, parts[:0]).Phi @ held for part in parts.tolist()]
+    return RowTransition(Phi, noise, np.stack(ends, axis=1) if ends else np.zeros((len(F), 0, *held.shape)))
+
+
+def _powers(X: Array) -> Array:
+    """Return X^k/k! (terms,K,N,N), k = 0, 1, …"""
+    terms = [np.broadcast_to(np.eye(X.shape[1]), X.shape)]
+    for k in range(1, _TERMS):
+        terms.append(terms[-1] @ X / k)
+    return np.array(terms)
+
+
+def _short_noise(powers: Array, channel: Array, h: Array) -> Array:
+    weights = SERIES_WEIGHTS * [float(factorial(k)) for k in range(_TERMS)]
+    terms = (powers @ channel) * np.sqrt(h)
+    return lower_factor(np.einsum("jk,kanc->acnj", weights, terms))
+
+
+def _at_parts(powers: Array, held: Array, parts: Array) -> Array:
+    return np.asarray(np.einsum("sk,kanh->asnh", parts[:, None] ** np.arange(_TERMS), powers @ held))

@@ -1,0 +1,54 @@
+"""The equations of all rows at once are those that the observer uses row by row."""
+
+import numpy as np
+import pytest
+
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.codegen.row_functions import row_functions
+from ndob_fmu.interface.told_observer import told_observer
+from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.told_values import told_values
+from ndob_fmu.model.loading import load_model
+from ndob_fmu.runtime.step.error_columns import joined
+from ndob_fmu.runtime.step.time_update import predict
+from tests.log.test_estimate_log import CART
+
+CASES = {
+    "cart": (CART, {"estimate_parameters": True, "mass_std": 0.2, "place_bias_std": 0.1, "disturbance_order": 1}),
+    "flexible joint": (load_model("flexible_joint"), {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+# Over a longer step the slopes change, and both ways take their mean over parts of it, not the same ones.
+@pytest.mark.parametrize(("H", "close"), [(1e-3, 1e-7), (0.02, 0.02)])
+def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
+    model, told = CASES[case]
+    eq = compile_model(model)
+    observer = told_observer(eq, told_values(eq, told).__getitem__, print)
+    found = observer.tuned(1e-2).model
+    rows, random = RowModel(found, row_functions(model)), np.random.default_rng(3)
+    K, N = 7, found.layout.size
+    start = found.layout.unpacked(observer.init(eq.xhat0).xi_hat)
+    xi = start + random.standard_normal((K, N)) * np.append(
+        found.start_std[: found.layout.n], 0.1 * start[found.layout.n :] + 0.1
+    )
+    xi[0, 1] += 20.0  # outside the range of the cart's rate
+    u = random.standard_normal((K, len(eq.inputs)))
+    intensity = np.ones(found.layout.q)
+    channel = found.noise_directions * found.noise_sizes(intensity, H)
+    steps = rows.steps(xi, u, np.full(K, H), channel)
+    nothing = joined(np.zeros((N, N)), np.zeros((N, 0)), np.zeros((N, 0)))
+    y, C = rows.output(xi, u), rows.output_slopes(xi, u)
+    for k in range(K):
+        one = predict(found, xi[k], nothing, u[k].tolist(), H, intensity, starting=False)
+        scale = np.abs(one.xi).max()
+        np.testing.assert_allclose(steps.end[k], one.xi, rtol=0, atol=1e-2 * close * scale)
+        np.testing.assert_allclose(steps.Phi[k], one.Phi, rtol=0, atol=close * np.abs(one.Phi).max())
+        covariance = sum(factor @ factor.T for factor in steps.noise[k])
+        expected = one.columns.factor @ one.columns.factor.T
+        std = np.sqrt(np.diag(expected))
+        std[std == 0.0] = 1.0
+        np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), rtol=0, atol=close)
+        np.testing.assert_allclose(y[k], found.predicted_output(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(C[k], found.output_slopes(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
