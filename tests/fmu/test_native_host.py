@@ -121,7 +121,8 @@ def test_a_wrong_guid_and_an_empty_name_end_in_one_line_and_no_instance(plant):
 
 
 def test_the_process_ends_with_code_zero_every_time(observer):
-    assert [observer.run(*RUN_AND_LEAVE).code for _ in range(20)] == [0] * 20
+    """A few times; `make exits` does it a hundred times, and all tests here look at the code."""
+    assert [observer.run(*RUN_AND_LEAVE).code for _ in range(5)] == [0] * 5
 
 
 def test_a_host_that_frees_nothing_ends_with_code_zero_too(observer):
@@ -130,8 +131,8 @@ def test_a_host_that_frees_nothing_ends_with_code_zero_too(observer):
 
 def test_fmpy_ends_with_code_zero_every_time(flexible_joint):
     command = [sys.executable, "-c", IN_FMPY, str(flexible_joint.observer)]
-    codes = [subprocess.run(command, env=ENVIRONMENT, check=False).returncode for _ in range(5)]
-    assert codes == [0] * 5
+    codes = [subprocess.run(command, env=ENVIRONMENT, check=False).returncode for _ in range(3)]
+    assert codes == [0] * 3
 
 
 def test_two_threads_step_two_instances_to_the_bits_of_one(observer):
