@@ -91,7 +91,8 @@ def test_a_system_has_the_trajectories_of_the_python_build(native, shipped, name
 def test_a_system_has_the_trajectories_of_our_master_in_other_tools(native, tool, tmp_path):
     name = "noisy_encoder"
     package = native / "ssp" / f"{name}.ssp"
-    study = Study(package=str(package), shown=real_outputs(package), steps=PORTABLE[name])
+    step_size, steps = PORTABLE[name]
+    study = Study(package=str(package), shown=real_outputs(package), step_size=step_size, steps=steps)
     expected = reference(study)
     found = in_ecos(study, tmp_path) if tool == "ecos" else in_python(tool, study, tmp_path)
     assert difference(found, expected, rounding=1e-6 if tool == "ecos" else 0.0) <= TOLERANCE
