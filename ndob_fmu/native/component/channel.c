@@ -20,7 +20,7 @@ static void write_channel_state(nd d_hat, const LagMemory *directions, double *t
 /* Make it from the plant, its parameters and the settings, and write its first state; returns an error of nd.h. */
 static int channel_start(Channelled *self, nd_arena *arena, const Equations *plant, nd parameters, nd bound, double lag,
                          double *state) {
-    LagMemory empty = fixed_lag_empty_lag(arena, CHANNEL, lag);
+    LagMemory empty = fixed_lag_empty_lag(arena, CHANNEL, lag, 0);
     self->reading.channel = plant->channel.value;
     self->reading.parameters = parameters;
     self->reading.disturbance_bound = bound;
@@ -54,7 +54,8 @@ static int channel_read(const Channelled *self, nd_arena *arena, const double *l
     const Estimate w = estimate_of_lumped(arena, lumped);
     const double *values = state + 1 + self->kept;
     LagMemory before = {nd_view_of(arena, self->kept, state + 1), nd_view_of(arena, self->kept * CHANNEL, values),
-                        nd_view_of(arena, self->kept * CHANNEL, values + self->kept * CHANNEL)};
+                        nd_view_of(arena, self->kept * CHANNEL, values + self->kept * CHANNEL),
+                        nd_full(arena, 2, (int[]){self->kept * CHANNEL, 0}, 0.0)};
     p2_Estimate_LagMemory read = ChannelReading_read(arena, &self->reading, &w, u, nd_view_of(arena, 1, state), &before);
     double found[2 * STATES + 5 + 2 * OUTPUTS + 2];
     if (arena->error || !write_finite_estimate(arena, found, &read.v0)) return arena->error;

@@ -88,7 +88,7 @@ class ChannelReading:
             k = len(self.channel.bound)
             n = np.zeros(k) if at_sample is None else at_sample
             if is_due(directions, self.lag):
-                directions = remembered(directions, n, np.zeros(k))
+                directions = remembered(directions, n, np.zeros(k), np.zeros((k, 0)))
             then = self._if_long_enough(at_lag(directions, self.lag, k)[0])
         d_lagged, d_lagged_std = self._fit(then, lumped.d_lagged, lumped.d_lagged_std, held)
         read = replace(
@@ -131,7 +131,7 @@ class ChannelObserver(Generic[S]):
 
     def init(self, x_hat: Vector) -> ChannelState[S]:
         """Return the state that starts from x̂₀ (n,)."""
-        directions = empty_lag(len(self.reading.channel.bound), self.reading.lag)
+        directions = empty_lag(len(self.reading.channel.bound), self.reading.lag, 0)
         return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,), directions=directions)
 
     def possible(self, state: ChannelState[S], elapsed: float) -> bool:

@@ -18,7 +18,7 @@ from ndob_fmu.runtime.numerics.units import units_of_inputs
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
 from ndob_fmu.runtime.step.filter_state import SensorMemory
-from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_sizes, signatures_of
+from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_sizes, signatures_at_sample, signatures_of
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.settings import ObserverSettings
 
@@ -62,6 +62,11 @@ class FilterModel:
     def first_sizes(self) -> Array:
         """The sizes (2 q2,3,4) of jumps in one step before any evidence, as in `JumpBank`."""
         return first_sizes(self.bound)
+
+    @cached_property
+    def signatures_at_sample(self) -> Array:
+        """The signatures (q2,6 q2) of jumps in the next step in d at a sample."""
+        return signatures_at_sample(self.layout.q)
 
     @cached_property
     def jump_channel(self) -> Array:

@@ -77,11 +77,13 @@ class LagMemory:
 
     age (K,): how long ago each was (s); −1 for an empty place.
     value, variance (K q2,): the smoothed disturbance and its variance.
+    signatures (K q2,6 L q2): what jumps of one have added to the error of each; no columns where nobody asks for jumps.
     """
 
     age: Array
     value: Array
     variance: Array
+    signatures: Array
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,7 @@ def is_possible(memory: FilterMemory) -> bool:
         and np.all(np.isfinite(lagged.age))
         and np.all(np.isfinite(lagged.value))
         and np.all(np.isfinite(lagged.variance))
+        and np.all(np.isfinite(lagged.signatures))
         and np.all(lagged.variance >= 0.0)
         and np.all(jumps.misfit >= 0.0)
         and not np.any(np.isnan(jumps.log_weight))

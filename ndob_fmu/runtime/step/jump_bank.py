@@ -179,13 +179,23 @@ def mixture(bank: JumpBank, signatures: Array) -> Mixture:
     total = float(weights.sum())
     if total <= _MENTIONED:
         return _NOTHING
-    each, within = _of_each(bank, signatures)
-    shift = each @ weights
+    shift, variance = _moments(bank, weights, signatures)
     best = int(np.argmax(weights))
     # The first sample after a jump cannot tell its size from its instant.
     settled = best < len(weights) - len(weights) // LENGTH
-    variance = np.maximum(((within**2).sum(axis=2) + each**2) @ weights - shift**2, 0.0)
     return Mixture(shift, variance, certain=total > _CERTAIN and settled)
+
+
+def moments(bank: JumpBank, signatures: Array) -> tuple[Array, Array]:
+    """Return what `mixture` does, mean and variance (rows,), whatever the weights."""
+    weights, _ = _normalised(log_weights(bank))
+    return _moments(bank, weights, signatures)
+
+
+def _moments(bank: JumpBank, weights: Array, signatures: Array) -> tuple[Array, Array]:
+    each, within = _of_each(bank, signatures)
+    shift = each @ weights
+    return shift, np.maximum(((within**2).sum(axis=2) + each**2) @ weights - shift**2, 0.0)
 
 
 def accepted(bank: JumpBank, signatures: Array) -> tuple[Array, Array]:
@@ -229,6 +239,16 @@ def with_newest(bank: JumpBank, newest: Array) -> JumpBank:
         newest_age=0.0,
         since_jump=bank.since_jump,
     )
+
+
+def signatures_at_sample(q: int) -> Array:
+    """Return the signatures (q2,6 q2) in d, as of the sample that a step begins with, of jumps in the step.
+
+    d is continuous from the right: a jump at the sample counts at the sample.
+    """
+    newest = np.zeros((q, q, len(INSTANTS)))
+    newest[:, :, 0] = np.eye(q)
+    return signatures_of(newest.reshape(q, -1))
 
 
 def signatures_of(newest: Array) -> Array:

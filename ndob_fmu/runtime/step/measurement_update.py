@@ -21,7 +21,7 @@ from ndob_fmu.runtime.step.error_columns import ErrorColumns, joined
 from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
-from ndob_fmu.runtime.step.fixed_lag import smoothed
+from ndob_fmu.runtime.step.fixed_lag import moved, smoothed, without_signatures
 from ndob_fmu.runtime.step.jump_bank import (
     LONG_AGO,
     Mixture,
@@ -211,7 +211,8 @@ def _corrected(
         K = K * model.estimated
     values = columns.values - K[:, None] * seen.across
     values[:, place] = K * sqrt(seen.noise + more_noise)
-    lagged = smoothed(now.lagged, seen.across[count + columns.jump_count :], seen.e, alpha)
+    seen_past = seen.across[count + columns.jump_count :]
+    lagged = smoothed(now.lagged, seen_past, _of_jumps(now, seen), seen.e, alpha)
     return _Estimate(now.xi + K * seen.e, columns.with_values(values), now.jumps, lagged), K
 
 
@@ -231,22 +232,31 @@ def _with_jump(model: FilterModel, now: _Estimate) -> _Estimate:
 
     A second jump soon after another means that the derivatives of d are unknown again.
     """
-    shift, more = accepted(now.jumps, now.columns.signatures)
+    rows = len(now.xi)
+    both = np.concatenate([now.columns.signatures, now.lagged.signatures])
+    shift, all_more = accepted(now.jumps, both)
+    more, of_past = all_more[:rows], all_more[rows:]
+    lagged = moved(without_signatures(now.lagged), shift[rows:], (of_past**2).sum(axis=1))
+    covariance = now.columns.covariance + more @ of_past.T
     if now.jumps.since_jump < LONG_AGO:
         more = np.concatenate([more, model.unknown_disturbance], axis=1)
     columns = now.columns.more(more)
     nothing = np.zeros_like(columns.signatures)
     return now._replace(
-        xi=now.xi + shift,
-        columns=joined(columns.factor, nothing, columns.covariance),
+        xi=now.xi + shift[:rows],
+        columns=joined(columns.factor, nothing, covariance),
+        lagged=lagged,
         jumps=certain_jump(model.bound),
     )
 
 
-def bounded(model: FilterModel, xi: Array, columns: ErrorColumns, more: Array) -> tuple[Array, ErrorColumns]:
-    """Return ξ̂ and the factor with what |d − nominal| ≤ D₀ adds where d is known no better than by that.
+def bounded(
+    model: FilterModel, xi: Array, columns: ErrorColumns, lagged: LagMemory, more: Array
+) -> tuple[Array, ErrorColumns, LagMemory]:
+    """Return ξ̂, columns and past with what |d − nominal| ≤ D₀ adds where d is known no better than by that.
 
-    The bound counts as a measurement of the nominal d that leaves the standard deviation D₀.
+    The bound counts as a measurement of the nominal d that leaves the standard deviation D₀. It does not move with a
+    jump, so that signatures stay.
 
     more (q2,): variance that parameters add to D₀², as `FilterModel.taken_for_disturbance`
     """
@@ -258,6 +268,10 @@ def bounded(model: FilterModel, xi: Array, columns: ErrorColumns, more: Array) -
         if variance > limit:
             noise = variance * limit / (variance - limit)
             K = (factor @ seen) / (variance + noise) * model.estimated
-            xi = xi - K * (xi[place] - model.settings.disturbance_nominal[j])
-            columns = columns.with_factor(np.column_stack([factor - K[:, None] * seen, K * sqrt(noise)]))
-    return xi, columns
+            e = model.settings.disturbance_nominal[j] - xi[place]
+            past = columns.covariance
+            lagged = smoothed(lagged, past[place], np.zeros(columns.jump_count), e, variance + noise)
+            xi = xi + K * e
+            factor = np.column_stack([factor - K[:, None] * seen, K * sqrt(noise)])
+            columns = joined(factor, columns.signatures, past - K[:, None] * past[place])
+    return xi, columns, lagged

@@ -13,6 +13,7 @@ from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.error_columns import joined
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState, SensorMemory
+from ndob_fmu.runtime.step.fixed_lag import without_signatures
 from ndob_fmu.runtime.step.jump_bank import empty_bank
 from ndob_fmu.runtime.step.measurement_update import Measured, measure
 from ndob_fmu.runtime.step.prediction import output_rows, spread
@@ -94,6 +95,7 @@ def reconsidered(
         columns=joined(factor, np.zeros_like(columns.signatures), columns.covariance),
         sensors=tuple(after),
         jumps=empty_bank(model.bound),
+        lagged=without_signatures(memory.lagged),
         lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
         age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,
     )

@@ -20,7 +20,7 @@ def start_memory(model: FilterModel) -> FilterMemory:
         past_age=np.full(model.past_size // max(len(model.delayed), 1), -1.0),
         jumps=empty_bank(model.bound),
         sensors=(SensorMemory(),) * len(model.equations.outputs),
-        lagged=empty_lag(model.layout.q, model.settings.lag),
+        lagged=empty_lag(model.layout.q, model.settings.lag, columns_of(model.layout.q)),
         age=0,
         lost=False,
         converged=False,

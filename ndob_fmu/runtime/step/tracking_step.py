@@ -11,8 +11,8 @@ from ndob_fmu.runtime.step.delayed_outputs import is_kept
 from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState
-from ndob_fmu.runtime.step.fixed_lag import at_lag, is_due, later, remembered
-from ndob_fmu.runtime.step.jump_bank import later_bank, with_newest
+from ndob_fmu.runtime.step.fixed_lag import at_lag, is_due, later, moved, remembered, with_new_signatures
+from ndob_fmu.runtime.step.jump_bank import later_bank, moments, with_newest
 from ndob_fmu.runtime.step.measurement_update import Measured, bounded
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
@@ -36,7 +36,7 @@ def step_with_covariance(
     xi = np.concatenate([layout.unpacked(state.xi_hat), state.memory.past])
     measured, memory = measured_or_reconsidered(model, xi, state, y)
     more = model.taken_for_disturbance(measured.xi, state.u)
-    xi, columns = bounded(model, measured.xi, measured.columns, more)
+    xi, columns, lagged = bounded(model, measured.xi, measured.columns, measured.lagged, more)
 
     added = measured.mixture
     at_sample = xi
@@ -45,12 +45,16 @@ def step_with_covariance(
     d_at_sample, at_sample_std = _published(
         model, at_sample[d], _variance_of_disturbance(model, columns, added.variance) + more
     )
-    lagged, d_lagged, d_lagged_std = measured.lagged, d_at_sample, at_sample_std
+    d_lagged, d_lagged_std = d_at_sample, at_sample_std
     if model.settings.lag > 0.0:
         if is_due(lagged, model.settings.lag):
-            lagged = remembered(lagged, at_sample[d], (columns.factor[d] ** 2).sum(axis=1))
+            lagged = remembered(lagged, xi[d], (columns.factor[d] ** 2).sum(axis=1), columns.signatures[d])
             columns = columns.with_past(d)
-        d_lagged, d_lagged_std = at_lag(lagged, model.settings.lag, layout.q)
+        shown = lagged
+        if added.shift is not None:
+            shift, variance_of_past = moments(measured.jumps, lagged.signatures)
+            shown = moved(lagged, shift, variance_of_past)
+        d_lagged, d_lagged_std = at_lag(shown, model.settings.lag, layout.q)
         d_lagged, d_lagged_std = _published(model, d_lagged, d_lagged_std**2 + more)
     past_age = memory.past_age
     if model.delayed:
@@ -72,6 +76,7 @@ def step_with_covariance(
         newest = model.signatures_in_step(end.jumps)
         signatures = np.concatenate([columns.signatures[:, newest.shape[1] :], newest], axis=1)
         columns, jumps = columns.with_signatures(signatures), with_newest(jumps, model.first_sizes)
+        lagged = with_new_signatures(lagged, model.signatures_at_sample)
     sensors = tuple(at_end_of_step(sensor, H) for sensor in measured.sensors)
     lost = memory.lost and starting
     result = SampledObserverState(
