@@ -10,7 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from xml.parsers import expat
 
 from ndob_fmu.errors import CouplingError, NdobError, UsageError
@@ -170,14 +170,16 @@ def _check(path: Path, entries: list[zipfile.ZipInfo]) -> None:
     folders: set[str] = set()
     for entry in entries:
         _check_entry(path, entry)
-        name = os.path.normcase(str(PurePosixPath(entry.filename)))
+        plain = "/".join(part for part in entry.filename.split("/") if part not in ("", ".")) or "."
+        name = os.path.normcase(plain).replace(os.sep, "/")
         if entry.is_dir():
             folders.add(name)
         elif name in files:
             raise _refused(path, "each entry once", f"{entry.filename!r} twice")
         else:
             files.add(name)
-        folders.update(os.path.normcase(str(parent)) for parent in PurePosixPath(entry.filename).parents)
+        while (name := name.rpartition("/")[0] or ".") not in folders:
+            folders.add(name)
     if clash := min(files & folders, default=None):
         raise _refused(path, "each entry once", f"{clash!r} as a file and as a folder")
 
