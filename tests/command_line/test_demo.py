@@ -78,6 +78,19 @@ def test_the_everyday_method_needs_neither_seconds_nor_a_schedule(summary):
     assert everyday["final_disturbance_error"] <= 1e-7
 
 
+@pytest.fixture(scope="module")
+def without_compiler(flexible_joint, tmp_path_factory):
+    """Run a short demo where nothing compiles native FMUs; return the folder and the summary."""
+    folder = tmp_path_factory.mktemp("short")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilers.importlib.util, "find_spec", lambda _: None)
+        patch.setattr(compilers.shutil, "which", lambda _: None)
+        summary = run_demo(
+            flexible_joint.system, folder / "r", native=lambda: build_native_demo(folder / "native"), stop_time=0.1
+        )
+    return folder, summary
+
+
 @C_COMPILER
 def test_native_fmus_give_the_same_signals_in_less_time(summary):
     """Without noise; the times are processor times, and include loading the FMUs."""
@@ -86,17 +99,13 @@ def test_native_fmus_give_the_same_signals_in_less_time(summary):
         assert run["native_seconds"] <= run["python_seconds"] / 3
 
 
-def test_where_nothing_compiles_native_fmus_the_demo_says_so_in_one_line(flexible_joint, tmp_path, monkeypatch):
-    monkeypatch.setattr(compilers.importlib.util, "find_spec", lambda _: None)
-    monkeypatch.setattr(compilers.shutil, "which", lambda _: None)
-    summary = run_demo(
-        flexible_joint.system, tmp_path / "r", native=lambda: build_native_demo(tmp_path / "native"), stop_time=0.1
-    )
+def test_where_nothing_compiles_native_fmus_the_demo_says_so_in_one_line(without_compiler):
+    folder, summary = without_compiler
     line = _builds_compared(summary["native"])
     assert line.startswith("  not compared with native FMUs: --platforms ")
     assert "received none; likely cause: the extra is not installed: pip install 'ndob-fmu[native]'" in line
     assert len(line.splitlines()) == 1
-    assert [path for path in (tmp_path / "native").rglob("*") if path.is_file()] == []
+    assert [path for path in (folder / "native").rglob("*") if path.is_file()] == []
 
 
 def test_the_summary_tells_how_it_was_made(summary):
@@ -161,10 +170,9 @@ def test_a_shorter_run_leaves_out_what_it_cannot_know(flexible_joint, tmp_path):
     assert len(read_csv(results / "result.csv")) == 101
 
 
-def test_the_same_run_gives_the_same_table(flexible_joint, tmp_path):
-    for folder in ("one", "other"):
-        run_demo(flexible_joint.system, tmp_path / folder, stop_time=0.1)
-    assert (tmp_path / "one" / "result.csv").read_bytes() == (tmp_path / "other" / "result.csv").read_bytes()
+def test_the_same_run_gives_the_same_table(flexible_joint, without_compiler, tmp_path):
+    run_demo(flexible_joint.system, tmp_path, stop_time=0.1)
+    assert (tmp_path / "result.csv").read_bytes() == (without_compiler[0] / "r" / "result.csv").read_bytes()
 
 
 @pytest.mark.parametrize(
