@@ -179,4 +179,4 @@ def figure(
         for suffix, metadata in ((".png", {"Software": None}), (".svg", {"Date": None})):
             with atomic_path(path.with_suffix(suffix)) as temporary:
                 drawn.savefig(temporary, metadata=metadata)
-            drawn.set_layout_engine("none")  # the layout of the first file, which takes as long as drawing, is that of both
+            drawn.set_layout_engine("none")  # that of the first file, which takes as long as drawing, is that of both
