@@ -28,9 +28,7 @@ def kept(lag: float) -> int:
 def empty_lag(q: int, lag: float, signatures: int) -> LagMemory:
     """Return the memory before the first sample, with so many signatures for each disturbance of the past."""
     count = kept(lag)
-    return LagMemory(
-        np.full(count, -1.0), np.zeros(count * q), np.zeros(count * q), np.zeros((count * q, signatures))
-    )
+    return LagMemory(np.full(count, -1.0), np.zeros(count * q), np.zeros(count * q), np.zeros((count * q, signatures)))
 
 
 def smoothed(lagged: LagMemory, seen: Array, of_jumps: Array, innovation: float, alpha: float) -> LagMemory:
