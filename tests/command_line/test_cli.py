@@ -174,19 +174,12 @@ def test_a_plant_that_no_controller_fits_still_gets_the_other_components(capsys,
     assert err == "ndob-fmu: the controller of Adrift: expected a plant with inputs, received none\n"
 
 
-def test_the_script_build_fmu_does_the_same(flexible_joint, shipped):
-    def run(*words):
-        environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
-        subprocess.run(
-            [sys.executable, ROOT / "build_fmu.py", *words], check=True, env=environment, capture_output=True
-        )
-
-    run("flexible_joint", "--out", "fmus")
+def test_the_script_build_fmu_does_the_same(flexible_joint):
+    """tests/native/test_systems.py shows what it asks for where it is given no model."""
+    command = [sys.executable, ROOT / "build_fmu.py", "flexible_joint", "--out", "fmus"]
+    subprocess.run(command, check=True, env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)}, capture_output=True)
     for fmu in (flexible_joint.plant, flexible_joint.observer):
         assert Path("fmus", fmu.name).read_bytes() == fmu.read_bytes()
-    run()
-    assert {path.name for path in Path("build/ssp").iterdir()} == {path.name for path in shipped.systems.iterdir()}
-    assert {path.name for path in Path("build/fmus").iterdir()} == {path.name for path in shipped.fmus.glob("*.fmu")}
 
 
 # -- simulate

@@ -470,9 +470,18 @@ def test_the_wheel_carries_every_module(unpacked_wheel):
     assert {path for path in modules if not (unpacked_wheel / path).is_file()} == set()
 
 
+AS_INSTALLED = """
+from ndob_fmu.cli import main
+from ndob_fmu.packages import build_ssp
+from ndob_fmu.support.shipped import shipped_folder
+assert main(["build", "flexible_joint", "--out", "fmus"]) == 0
+build_ssp(shipped_folder("ssp") / "open_loop", "fmus", "ssp")
+"""
+
+
 def test_the_package_from_the_wheel_builds_the_same_fmus_and_system(unpacked_wheel, flexible_joint, tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "ndob_fmu", "build", "flexible_joint", "--out", "fmus", "--systems", "ssp"],
+        [sys.executable, "-c", AS_INSTALLED],
         cwd=tmp_path,
         env=ENVIRONMENT | {"PYTHONPATH": str(unpacked_wheel)},
         capture_output=True,

@@ -75,6 +75,12 @@ def usual(tmp_path_factory):
     return folder / "out", found, wind
 
 
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Most of the time of a short log goes into drawing."""
+    monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *_, **__: None)
+
+
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -142,7 +148,7 @@ def test_the_summary_and_the_figures_are_there(usual):
 
 
 @pytest.mark.parametrize("factor", [0.2, 5.0])
-def test_a_wrong_noise_is_named_with_the_right_one(tmp_path, factor):
+def test_a_wrong_noise_is_named_with_the_right_one(tmp_path, factor, without_figures):
     time = 0.01 * np.arange(1500)
     log = write_log(tmp_path / "log.csv", time, *simulated(time, gusts(time), [*NOISE.values()], 2))
     told = {**TUNED, "place_noise_std": 1e-3 * factor}
@@ -154,7 +160,7 @@ def test_a_wrong_noise_is_named_with_the_right_one(tmp_path, factor):
     assert shown == pytest.approx(1e-3, rel=0.2)
 
 
-def test_a_disturbance_that_is_told_much_too_slow_is_noticed(tmp_path):
+def test_a_disturbance_that_is_told_much_too_slow_is_noticed(tmp_path, without_figures):
     time = 0.01 * np.arange(1200)
     log = write_log(tmp_path / "log.csv", time, *simulated(time, 2.5 * np.sin(12.0 * time), [*NOISE.values()], 3))
     told = {"disturbance_order": 1, "disturbance_rate": 1e-3, "adapt_noise": "false"}
@@ -164,7 +170,7 @@ def test_a_disturbance_that_is_told_much_too_slow_is_noticed(tmp_path):
     )
 
 
-def test_jitter_gaps_a_slow_sensor_and_outliers_are_taken_as_they_are(tmp_path):
+def test_jitter_gaps_a_slow_sensor_and_outliers_are_taken_as_they_are(tmp_path, without_figures):
     random = np.random.default_rng(4)
     time = 0.01 * np.arange(900) + random.uniform(-0.003, 0.003, 900)
     time = time[(time < 6.0) | (time > 6.4)]
@@ -181,7 +187,7 @@ def test_jitter_gaps_a_slow_sensor_and_outliers_are_taken_as_they_are(tmp_path):
     assert found.valid > 0.95
 
 
-def test_stretches_of_a_long_log_join_without_a_seam(tmp_path, monkeypatch):
+def test_stretches_of_a_long_log_join_without_a_seam(tmp_path, monkeypatch, without_figures):
     time = 0.01 * np.arange(700)
     log = write_log(tmp_path / "log.csv", time, *simulated(time, gusts(time), [*NOISE.values()], 6))
     estimate_log(CART, log, tmp_path / "whole", start_values=TUNED)
