@@ -31,6 +31,7 @@ from tests.importers.importer_studies import (
     reference,
     run_again,
     shipped,
+    shorter,
 )
 from tests.importers.importers import Rows, Study
 
@@ -60,6 +61,7 @@ class Bench:
     """The FMUs, the package, the C host, and a folder to work in.
 
     against: the bench whose FMUs our master runs for comparison; none: its own
+    at_most: steps of a run; the table of docs/tools.md is made of whole studies
     """
 
     plant: Path
@@ -68,6 +70,7 @@ class Bench:
     host: Path
     folder: Path
     against: Bench | None = None
+    at_most: int = 3000
     _prepared: dict[str, tuple[Study, Path, Rows]] = field(default_factory=dict)
 
     def difference(self, tool: str, name: str) -> float:
@@ -84,7 +87,7 @@ class Bench:
 
     def _prepare(self, name: str) -> tuple[Study, Path, Rows]:
         if name == "open_loop.ssp":
-            study = shipped(self.package)
+            study = shorter(shipped(self.package), self.at_most)
             return study, self.folder, reference(study)
         if name == "open_loop_boundary.ssp":
             study = as_one_block(
@@ -104,7 +107,7 @@ class Bench:
             "run again": run_again,
             "state": partial(observer_alone, steps=200),
         }[name]
-        study = make(self.plant, self.observer)
+        study = shorter(make(self.plant, self.observer), self.at_most)
         return study, self.folder, reference(study)
 
     def _run(self, tool: str, name: str, study: Study, folder: Path) -> Rows:

@@ -68,6 +68,12 @@ def shipped(package: Path) -> Study:
     return Study(package=str(package), shown=_columns(plant=PLANT, observer=OBSERVER), steps=3000)
 
 
+def shorter(study: Study, at_most: int) -> Study:
+    """Return the study, or its beginning of so many steps."""
+    steps = min(study.steps, at_most)
+    return replace(study, steps=steps, inputs={name: values[: steps + 1] for name, values in study.inputs.items()})
+
+
 def _columns(**names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{instance}.{name}" for instance, of_instance in names.items() for name in of_instance)
 

@@ -18,6 +18,7 @@ from tests.helpers.native_host import compile_host
 from tests.importers.importer_environments import PINNED
 from tests.importers.importer_runs import RUNS, RUNS_IN_ENVIRONMENTS, TOLERANCE, Bench
 
+STEPS = 1000
 FMUS = Path(__file__).resolve().parents[2] / "build" / "fmus"
 
 
@@ -25,8 +26,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
         folder = Path(work)
         plant, observer = (FMUS / f"FlexibleJoint{kind}.fmu" for kind in ("Plant", "Observer"))
-        bench = Bench(plant, observer, FMUS, compile_host(folder), folder)
-        native = Bench(*build_native(load_model("flexible_joint"), folder), FMUS, bench.host, folder, bench)
+        bench = Bench(plant, observer, FMUS, compile_host(folder), folder, at_most=STEPS)
+        native = Bench(*build_native(load_model("flexible_joint"), folder), FMUS, bench.host, folder, bench, STEPS)
         failed = 0
         for study, others in RUNS_IN_ENVIRONMENTS.items():
             tools = [tool for tool in RUNS[study] if tool != "C host"]  # where tests/native runs them

@@ -17,7 +17,9 @@ pytestmark = FRONT
 @pytest.fixture(scope="module")
 def bench(flexible_joint, tmp_path_factory):
     folder = tmp_path_factory.mktemp("importers")
-    return Bench(flexible_joint.plant, flexible_joint.observer, flexible_joint.system, compile_host(folder), folder)
+    return Bench(
+        flexible_joint.plant, flexible_joint.observer, flexible_joint.system, compile_host(folder), folder, at_most=1000
+    )
 
 
 @pytest.mark.parametrize(
