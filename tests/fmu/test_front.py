@@ -35,6 +35,13 @@ def fresh_compiler(monkeypatch, tmp_path):
     front.forget_compiled()
 
 
+@pytest.fixture
+def quick_compiler(fresh_compiler):
+    """A fresh compiler that does not optimise, for tests of what is kept."""
+    fresh_compiler.setattr(front, "_FLAGS", tuple("-O0" if flag == "-O2" else flag for flag in front._FLAGS))
+    return fresh_compiler
+
+
 def stock_binary():
     import pythonfmu
 
@@ -128,7 +135,7 @@ def test_sources_in_another_folder_and_another_temporary_folder_give_the_same_by
         assert str(name).encode() not in before
 
 
-def test_what_was_compiled_before_is_kept_for_other_processes(fresh_compiler):
+def test_what_was_compiled_before_is_kept_for_other_processes(quick_compiler):
     before = front.compiled([front.LINUX])
     front.forget_compiled()
     with pytest.MonkeyPatch.context() as patch:
@@ -136,7 +143,7 @@ def test_what_was_compiled_before_is_kept_for_other_processes(fresh_compiler):
         assert front.compiled([front.LINUX]) == before
 
 
-def test_what_is_damaged_in_the_cache_is_compiled_again(fresh_compiler, tmp_path):
+def test_what_is_damaged_in_the_cache_is_compiled_again(quick_compiler, tmp_path):
     before = front.compiled([front.LINUX])
     (kept,) = (tmp_path / "cache" / "ndob-fmu").iterdir()
     whole = kept.read_bytes()
@@ -146,7 +153,7 @@ def test_what_is_damaged_in_the_cache_is_compiled_again(fresh_compiler, tmp_path
     assert kept.read_bytes() == whole
 
 
-def test_other_sources_and_another_compiler_have_a_front_of_their_own(fresh_compiler, tmp_path):
+def test_other_sources_and_another_compiler_have_a_front_of_their_own(quick_compiler, tmp_path):
     compiler = tmp_path / "cc"
     compiler.write_text(f'#!/bin/sh\nexec {COMPILERS[0]} "$@"\n')
     compiler.chmod(0o755)
@@ -161,14 +168,14 @@ def test_other_sources_and_another_compiler_have_a_front_of_their_own(fresh_comp
         patch.setattr(front, "SOURCES", changed)
         assert front.compiled([front.LINUX]) != [None]
     front.forget_compiled()
-    fresh_compiler.setenv("CC", str(compiler))
+    quick_compiler.setenv("CC", str(compiler))
     assert front.compiled([front.LINUX]) != [None]
     assert len(list((tmp_path / "cache" / "ndob-fmu").iterdir())) == 3
 
 
-def test_where_no_cache_can_be_written_the_front_is_compiled_without_a_word(fresh_compiler, tmp_path, caplog):
+def test_where_no_cache_can_be_written_the_front_is_compiled_without_a_word(quick_compiler, tmp_path, caplog):
     (tmp_path / "file").write_text("")
-    fresh_compiler.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    quick_compiler.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert front.compiled([front.LINUX]) != [None]
     assert caplog.text == ""
 
