@@ -28,12 +28,12 @@ def forged(data: bytes, contents: bytes) -> bytes:
     check = 0xCBF29CE484222325
     for byte in contents:
         check = (check ^ byte) * 0x100000001B3 & 0xFFFFFFFFFFFFFFFF
-    magic, token, size, _ = HEAD.unpack(data[: HEAD.size])
-    return HEAD.pack(magic, token, size, check) + contents
+    magic, token, _, _ = HEAD.unpack(data[: HEAD.size])
+    return HEAD.pack(magic, token, len(contents), check) + contents
 
 
 def spoilt(contents: bytes, random: Random) -> tuple[str, bytes]:
-    """Return contents that differ in one place or in a few, and what was done in words."""
+    """Return contents that differ in one place or in a few, or in length, and what was done in words."""
     spoilt, words = bytearray(contents), []
     for _ in range(random.choice([1, 1, 1, 2, 5, 40])):
         kind = random.randrange(5)
@@ -54,6 +54,10 @@ def spoilt(contents: bytes, random: Random) -> tuple[str, bytes]:
             new = contents[other : other + 8]
         spoilt[place : place + 8] = new
         words.append(f"{place}: {new.hex()}")
+    if random.random() < 0.2:
+        more = random.choice([-len(spoilt), -PROGRESS.size, -1000, -8, -1, 1, 8, 1000, 10**6])
+        spoilt = spoilt[:more] if more < 0 else spoilt + random.choice([bytes(more), random.randbytes(more)])
+        words.append(f"{more} bytes more")
     return " ".join(words), bytes(spoilt)
 
 
@@ -76,7 +80,7 @@ def trial(library: Library, handle: c_void_p, data: bytes, contents: bytes) -> s
     if not taken(library, handle, forged(data, contents)):
         assert bytes_of(library, handle) == data, "a refused state has changed the instance"
         return "refused"
-    progress = PROGRESS.unpack_from(contents)
+    progress = PROGRESS.unpack_from(contents)  # no state is shorter
     stop = progress[_STOP] if progress[_HAS_STOP] else None
     how = used(library, handle, progress[_MODE], stop, progress[_NOW])
     assert taken(library, handle, data)

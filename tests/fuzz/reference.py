@@ -98,8 +98,18 @@ def refreshed(library: Library, memory: Memory) -> set[int]:
     set_to = {library.variables[vr].name: value for vr, value in memory.values.items()}
     if library.name.endswith("Observer") and NO_DESIGN in set_to.items():
         return {ERROR}
-    status = WARNING if holds_inputs(library, memory) else OK
-    return {status, ERROR} if wild(library, memory) else {status}
+    statuses = made(library, memory) - {OK} | {WARNING if holds_inputs(library, memory) else OK}
+    # An observer refuses a nominal disturbance in a channel.
+    nominal = any(name.endswith("_nominal") and value != 0.0 for name, value in set_to.items())
+    return statuses | {ERROR} if wild(library, memory) or nominal else statuses
+
+
+def made(library: Library, memory: Memory) -> set[int]:
+    """The statuses of making what computes: an observer warns of what a disturbance explains as well."""
+    set_to = {library.variables[vr].name: value for vr, value in memory.values.items()}
+    offsets = any(name.endswith("_bias_std") and value > 0.0 for name, value in set_to.items())
+    explained = offsets or set_to.get("estimate_parameters")
+    return {OK, WARNING} if explained and library.name.endswith("Observer") else {OK}
 
 
 def got(library: Library, memory: Memory) -> set[int]:

@@ -157,6 +157,23 @@ def test_a_state_goes_on_as_it_did_in_another_instance_and_from_bytes(built, nam
         each.freeInstance()
 
 
+def test_a_saved_state_is_no_larger_than_its_settings_ask_for(built):
+    library = Library(Path(fmpy.extract(str(built(JOINT)[3]))))
+    lag = next(variable.reference for variable in library.variables if variable.name == "lag")
+    sizes = []
+    for seconds in (0.0, 0.02, 0.0):
+        fmu = fmpy.instantiate_fmu(library.folder, fmpy.read_model_description(str(library.folder)))
+        fmu.setReal([lag], [seconds])
+        fmu.setupExperiment(startTime=0.0)
+        fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        fmu.doStep(0.0, 1e-3)
+        sizes.append(len(fmu.serializeFMUState(fmu.getFMUState())))
+        fmu.freeInstance()
+    # A lag keeps 65 instants, each with 72 responses to jumps, but none yet of those that are not used.
+    assert sizes[0] == sizes[2] < 10_000 < 37_000 < sizes[1] < 60_000
+
+
 def test_random_legal_and_illegal_calls_have_the_statuses_of_fmi(built, components):
     fmus = (*built(JOINT)[2:], built(TOOL)[3], components["Encoder"])
     folders = [Path(fmpy.extract(str(fmu))) for fmu in fmus]

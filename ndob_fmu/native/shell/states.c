@@ -8,6 +8,7 @@
 typedef struct {
     const Instance *owner; /* it is gone with the instance that it was got from */
     Progress progress;
+    size_t state_size; /* of the component's state, without the zeros at its end */
     /* Then values, started_with, texts, started_with_texts and the component's state. */
 } Saved;
 
@@ -18,13 +19,26 @@ typedef struct {
     uint64_t hash; /* of them */
 } Head;
 
-static const char MAGIC[8] = "NDOBNA1";
+static const char MAGIC[8] = "NDOBNA2";
 
 static size_t values_size(void) { return fmu.count * sizeof(double); }
 static size_t parameters_size(void) { return fmu.parameter_count * sizeof(double); }
 static size_t texts_size(void) { return fmu.text_count * (size_t)TEXT_SIZE; }
-static size_t contents_size(void) { return values_size() + parameters_size() + 2 * texts_size() + fmu.state_size; }
-static size_t written_size(void) { return sizeof(Head) + sizeof(Progress) + contents_size(); }
+static size_t fixed_size(void) { return values_size() + parameters_size() + 2 * texts_size(); }
+static size_t contents_size(const Saved *saved) { return fixed_size() + saved->state_size; }
+static size_t written_size(const Saved *saved) { return sizeof(Head) + sizeof(Progress) + contents_size(saved); }
+
+/* A component has room for the most that its parameters can ask for; what they do not ask for is 0. */
+static size_t used_size(const void *state) {
+    size_t size = fmu.state_size;
+    uint64_t word = 0;
+    while (size >= sizeof word) {
+        memcpy(&word, (const char *)state + size - sizeof word, sizeof word);
+        if (word) break;
+        size -= sizeof word;
+    }
+    return size;
+}
 
 /* Where the parts of a saved state are. */
 typedef struct {
@@ -38,14 +52,14 @@ static Parts parts_of(Saved *saved) {
     Parts parts;
     parts.values = (double *)(void *)at;
     parts.started_with = (double *)(void *)(at += values_size());
-    parts.state = at += parameters_size();
-    parts.texts = (char(*)[TEXT_SIZE])(at += fmu.state_size);
-    parts.started_with_texts = (char(*)[TEXT_SIZE])(at + texts_size());
+    parts.texts = (char(*)[TEXT_SIZE])(at += parameters_size());
+    parts.started_with_texts = (char(*)[TEXT_SIZE])(at += texts_size());
+    parts.state = at + texts_size();
     return parts;
 }
 
 static Saved *new_saved(Instance *self, const char *function) {
-    Saved *saved = calloc(1, sizeof *saved + contents_size());
+    Saved *saved = calloc(1, sizeof *saved + fixed_size() + fmu.state_size);
     if (!saved) say_error(self, function, "memory for an FMU state", "none");
     return saved;
 }
@@ -59,7 +73,8 @@ static void save(const Instance *self, Saved *saved) {
     if (!self->progress.made) return; /* what was made before a reset means nothing now */
     memcpy(to.started_with, self->started_with, parameters_size());
     memcpy(to.started_with_texts, self->started_with_texts, texts_size());
-    memcpy(to.state, self->state, fmu.state_size);
+    saved->state_size = used_size(self->state);
+    memcpy(to.state, self->state, saved->state_size);
 }
 
 /* Take over a saved state, or return false: its parameters may allow no core, or that core no such state. */
@@ -75,7 +90,9 @@ static bool adopt(Instance *self, Saved *saved, bool check) {
     memcpy(self->texts, from.texts, texts_size());
     self->progress = saved->progress;
     if (!made) return true;
-    memcpy(self->state, from.state, fmu.state_size);
+    size_t before = used_size(self->state), now = saved->state_size;
+    memcpy(self->state, from.state, now);
+    if (before > now) memset((char *)self->state + now, 0, before - now);
     Call call = call_of(self);
     return !check || fmu.possible(&call, self->progress.clock.start, self->progress.clock.now);
 }
@@ -98,7 +115,7 @@ static bool given(Instance *self, const char *function, const void *place) {
 static bool hand_out(Instance *self, const char *function, Saved *saved, void **handle) {
     Saved *before = *handle ? handle_enter(STATE_HANDLES, *handle) : NULL;
     if (before) {
-        memcpy(before, saved, sizeof *saved + contents_size());
+        memcpy(before, saved, sizeof *saved + contents_size(saved));
         handle_leave(STATE_HANDLES, *handle);
         free(saved);
         return true;
@@ -166,21 +183,21 @@ static uint64_t token_hash(void) {
 bool state_size(Instance *self, const char *function, void *handle, size_t *size) {
     Saved *saved = given(self, function, size) ? taken(self, function, handle) : NULL;
     if (!saved) return false;
+    *size = written_size(saved);
     handle_leave(STATE_HANDLES, handle);
-    *size = written_size();
     return true;
 }
 
 bool state_write(Instance *self, const char *function, void *handle, unsigned char bytes[], size_t size) {
     Saved *saved = given(self, function, bytes) ? taken(self, function, handle) : NULL;
     if (!saved) return false;
-    bool fits = size >= written_size();
+    bool fits = size >= written_size(saved);
     if (fits) {
         unsigned char *contents = bytes + sizeof(Head);
         memcpy(contents, &saved->progress, sizeof(Progress));
-        memcpy(contents + sizeof(Progress), (char *)saved + sizeof *saved, contents_size());
-        Head head = {"", token_hash(), sizeof(Progress) + contents_size(),
-                     hashed(contents, sizeof(Progress) + contents_size())};
+        memcpy(contents + sizeof(Progress), (char *)saved + sizeof *saved, contents_size(saved));
+        Head head = {"", token_hash(), sizeof(Progress) + contents_size(saved),
+                     hashed(contents, sizeof(Progress) + contents_size(saved))};
         memcpy(head.magic, MAGIC, sizeof MAGIC);
         memcpy(bytes, &head, sizeof head);
     }
@@ -250,8 +267,10 @@ static const char *fault(const unsigned char bytes[], size_t size) {
     memcpy(&head, bytes, sizeof head);
     if (memcmp(head.magic, MAGIC, sizeof MAGIC) != 0) return "bytes that are no FMU state";
     if (head.token != token_hash()) return "the state of another FMU, or of another build of this one";
-    if (head.size > size - sizeof head || size < written_size()) return "a state that was cut off";
-    if (head.size != written_size() - sizeof head || head.hash != hashed(bytes + sizeof head, (size_t)head.size))
+    const size_t least = sizeof(Progress) + fixed_size();
+    if (head.size > size - sizeof head || size - sizeof head < least) return "a state that was cut off";
+    if (head.size < least || head.size > least + fmu.state_size
+        || head.hash != hashed(bytes + sizeof head, (size_t)head.size))
         return "a state that was damaged";
     return NULL;
 }
@@ -262,9 +281,12 @@ bool state_read(Instance *self, const char *function, const unsigned char bytes[
     Saved *saved = wrong ? NULL : new_saved(self, function);
     if (!wrong && !saved) return false;
     if (saved) {
+        Head head;
+        memcpy(&head, bytes, sizeof head);
         saved->owner = self;
+        saved->state_size = (size_t)head.size - sizeof(Progress) - fixed_size();
         memcpy(&saved->progress, bytes + sizeof(Head), sizeof(Progress));
-        memcpy((char *)saved + sizeof *saved, bytes + sizeof(Head) + sizeof(Progress), contents_size());
+        memcpy((char *)saved + sizeof *saved, bytes + sizeof(Head) + sizeof(Progress), contents_size(saved));
         if (times_fault(&saved->progress) || mode_fault(&saved->progress) || values_fault(saved))
             wrong = "a state that no instance can have";
     }
