@@ -16,6 +16,8 @@ import sys
 import tarfile
 import tempfile
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -74,6 +76,16 @@ def run(program: Path, *words: str, text: str = "", **more: str) -> subprocess.C
         timeout=300,
         check=False,
     )
+
+
+@contextmanager
+def awake() -> Iterator[None]:
+    """Keep a Windows program waiting: with the first one wine boots for three seconds, and it ends with the last."""
+    command = [str(wine()), str(PYTHON / "python.exe"), "-c", "print(flush=True); input()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()) as waiting:
+        waiting.stdout.readline()
+        yield
+        waiting.communicate(b"\n")
 
 
 def prepare() -> None:

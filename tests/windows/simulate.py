@@ -2,8 +2,8 @@
 
 python simulate.py JOBS.json RESULT.npz [RECORDED.npz]
 
-JOBS: name → path of an FMU, or of the folder that it is unpacked in, and start values. RECORDED: a result with
-trajectories of the plant, which the inputs of those names get.
+JOBS: name → path of an FMU, or of the folder that it is unpacked in, start values, and where not STEPS how many steps.
+RECORDED: a result with trajectories of the plant, which the inputs of those names get.
 """
 
 import json
@@ -24,14 +24,14 @@ def signals(names, recorded):
     return np.array(list(zip(*columns, strict=True)), dtype=[(name, float) for name in ("time", *names)])
 
 
-def trajectories(path, start_values, recorded):
+def trajectories(recorded, path, start_values, steps=STEPS):
     """Return name → column of every output."""
     description = read_model_description(path)
     inputs = [v.name for v in description.modelVariables if v.causality == "input" and v.type == "Real"]
     outputs = [v.name for v in description.modelVariables if v.causality == "output"]
     rows = simulate_fmu(
         path,
-        stop_time=STEPS * STEP,
+        stop_time=steps * STEP,
         output_interval=STEP,
         start_values=start_values,
         input=signals(inputs, recorded) if inputs else None,
@@ -43,8 +43,8 @@ def trajectories(path, start_values, recorded):
 def main(jobs, result, recorded=None):
     columns = {}
     known = dict(np.load(recorded)) if recorded else {}
-    for name, (path, start_values) in json.loads(Path(jobs).read_text("utf-8")).items():
-        for variable, column in trajectories(path, start_values, known).items():
+    for name, job in json.loads(Path(jobs).read_text("utf-8")).items():
+        for variable, column in trajectories(known, *job).items():
             columns[f"{name}/{variable}"] = column
     np.savez(result, **columns)
 
