@@ -24,12 +24,15 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.augmented import Augmented
 from ndob_fmu.runtime.design.tuning import (
+    SCAN,
     Knowledge,
+    Search,
     at_bandwidth,
     fastest_bandwidth,
     from_pi,
     predicted_errors,
     response_to_d,
+    search,
 )
 
 # The bandwidth over 1/H up to which the power law holds.
@@ -69,8 +72,10 @@ class IntensityLaw:
         return np.asarray(tuned * self.at(H, float(np.sqrt(variance))) / self.at(tuned_at))
 
 
-def tuned_law(system: Augmented, H: float, alpha: float, known: Knowledge) -> IntensityLaw:
+def tuned_law(system: Augmented, H: float, alpha: float, known: Knowledge, found: Search | None = None) -> IntensityLaw:
     """Return the law of the intensities that minimise J, tuned at the step H (s) or at a larger noise.
+
+    found: what `search` returns, where the caller has it
 
     Raises DesignError where an unknown input shows in no output.
     """
@@ -80,7 +85,10 @@ def tuned_law(system: Augmented, H: float, alpha: float, known: Knowledge) -> In
     expected = (k * known.disturbance_rate[0] * gain / ((degree + 0.5) * H**0.5)) ** (1.0 / steepness)
     noise_scale = max(1.0, float(expected * H / _RESOLVED) ** steepness)
     errors = predicted_errors(system, H, alpha, known)
-    bandwidth, tried = errors.best_bandwidth(noise_scale, ())
+    bandwidth, tried = search(system, H, alpha, known) if found is None else found
+    if noise_scale != 1.0:
+        # The first bandwidths of a search are the same for every noise.
+        bandwidth, tried = errors.best_bandwidth(noise_scale, tried[:SCAN])
     slower, _ = errors.best_bandwidth(noise_scale * _APART, tried)
     measured = 1.0 - (r + degree) * log(bandwidth / slower) / log(_APART)
     exponent = min(max(measured, (k - r + 0.5) / steepness), (k - r + 0.5) / (k + 0.5))

@@ -11,12 +11,21 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.augmented import Augmented
 from ndob_fmu.runtime.design.intensity_law import IntensityLaw, law_from_pi, tuned_law
 from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDesign, stationary_design
-from ndob_fmu.runtime.design.tuning import Knowledge, from_pi, steady_residual_std, steady_std, tuned_intensities
+from ndob_fmu.runtime.design.tuning import (
+    Knowledge,
+    Search,
+    from_pi,
+    search,
+    steady_residual_std,
+    steady_std,
+    tuned_intensities,
+)
 from ndob_fmu.runtime.memo import LatestResult, SharedResults, by_value
 
 # A thousand instances of the same parameters need one design.
 _INTENSITIES: SharedResults[Intensities] = SharedResults(64)
 _DESIGNS: SharedResults[StationaryDesign] = SharedResults(16)
+_SEARCHES: SharedResults[Search] = SharedResults(16)
 _LAWS: SharedResults[IntensityLaw] = SharedResults(64)
 # The covariance of states whose sums are measured keeps no digit of a noise that is smaller than this part of theirs.
 _LEAST_NOISE = 1e-10
@@ -108,23 +117,38 @@ class StepDesigns:
 
         return self._latest((H, tuned_for, *factors), design)
 
-    def intensities(self, H: float) -> Intensities:
-        """Return the noise intensities tuned for a step H (s)."""
-        return self._latest_intensities((H,), lambda: _INTENSITIES((H, self._key), lambda: self._tuned(H)))
+    def searched(self, H: float) -> Search | None:
+        """Return the search for the bandwidth at a step H (s), on which intensities and their law stand; None with π.
 
-    def law(self, H: float) -> IntensityLaw:
-        """Return the law of the intensities for other steps and noises, tuned at a step H (s)."""
+        Raises DesignError where no bandwidth has a design.
+        """
+        if not np.all(self.known.disturbance_rate > 0.0):
+            return None
+        return _SEARCHES((H, self._key), lambda: search(self.system, H, self.alpha, self.known))
+
+    def intensities(self, H: float, searched: Search | None = None) -> Intensities:
+        """Return the noise intensities tuned for a step H (s).
+
+        searched: what the method of this name returns, where the caller has it
+        """
+        return self._latest_intensities((H,), lambda: _INTENSITIES((H, self._key), lambda: self._tuned(H, searched)))
+
+    def law(self, H: float, searched: Search | None = None) -> IntensityLaw:
+        """Return the law of the intensities for other steps and noises, tuned at a step H (s).
+
+        searched: as in `intensities`
+        """
 
         def found() -> IntensityLaw:
             if np.all(self.known.disturbance_rate > 0.0):
-                return tuned_law(self.system, H, self.alpha, self.known)
+                return tuned_law(self.system, H, self.alpha, self.known, searched)
             return law_from_pi(self.system, H, self.pi, self.known)
 
         return _LAWS((H, self._key), found)
 
-    def _tuned(self, H: float) -> Intensities:
+    def _tuned(self, H: float, searched: Search | None) -> Intensities:
         if np.all(self.known.disturbance_rate > 0.0):
-            found = tuned_intensities(self.system, H, self.alpha, self.known)
+            found = tuned_intensities(self.system, H, self.alpha, self.known, searched)
         else:
             found = from_pi(self.system, H, self.pi, self.known)
         largest = np.abs(self.system.linear.C) @ self.x_std

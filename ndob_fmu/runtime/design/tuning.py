@@ -27,7 +27,7 @@ from ndob_fmu.runtime.design.stationary_design import Intensities, StationaryDes
 # that of the noise, beyond which only rounding changes the gain.
 _SLOWEST = 1e-4
 _FASTEST = 1e6
-_SCAN = 10
+SCAN = 10
 # Where the logarithm of the cost is nearly flat, a bandwidth lower by a factor e may cost this part more.
 _SLOWER = 1e-2
 _PARABOLAS = 3
@@ -51,19 +51,6 @@ class Knowledge:
     disturbance_rate: Array
 
 
-def tuned_intensities(system: Augmented, H: float, alpha: float, known: Knowledge) -> Intensities:
-    """Return the intensities that minimise J at the step H, on the scale of the disturbance.
-
-    Where samples have hardly any noise, only the ratio of the intensities counts, and a large ratio no longer does. The
-    scale makes the white noise on w_d over a step as large as D (for r = 0, that on G as large as D₀).
-    """
-    bandwidth, _ = predicted_errors(system, H, alpha, known).best_bandwidth(1.0, ())
-    tuned = at_bandwidth(system, H, bandwidth, known)
-    pace = known.disturbance_rate if system.order else known.disturbance_bound
-    scale = float(np.max(np.sqrt(H) * pace / np.sqrt(tuned.disturbance[-len(pace) :])))
-    return replace(tuned, scale=max(1.0, scale))
-
-
 class Tried(NamedTuple):
     """A bandwidth of which J is known.
 
@@ -76,6 +63,36 @@ class Tried(NamedTuple):
     bias: float
     noise: float
     prior_factor: Array | None
+
+
+class Search(NamedTuple):
+    """The bandwidth (rad/s) of the least J for the noise that was told, and all that were tried for it."""
+
+    bandwidth: float
+    tried: list[Tried]
+
+
+def search(system: Augmented, H: float, alpha: float, known: Knowledge) -> Search:
+    """Return the bandwidth of the least J at the step H (s). Raises DesignError where no bandwidth has a design."""
+    bandwidth, tried = predicted_errors(system, H, alpha, known).best_bandwidth(1.0, ())
+    return Search(bandwidth, tried)
+
+
+def tuned_intensities(
+    system: Augmented, H: float, alpha: float, known: Knowledge, found: Search | None = None
+) -> Intensities:
+    """Return the intensities that minimise J at the step H, on the scale of the disturbance.
+
+    found: what `search` returns, where the caller has it
+
+    Where samples have hardly any noise, only the ratio of the intensities counts, and a large ratio no longer does. The
+    scale makes the white noise on w_d over a step as large as D (for r = 0, that on G as large as D₀).
+    """
+    best = search(system, H, alpha, known) if found is None else found
+    tuned = at_bandwidth(system, H, best.bandwidth, known)
+    pace = known.disturbance_rate if system.order else known.disturbance_bound
+    scale = float(np.max(np.sqrt(H) * pace / np.sqrt(tuned.disturbance[-len(pace) :])))
+    return replace(tuned, scale=max(1.0, scale))
 
 
 @dataclass(frozen=True)
@@ -278,9 +295,9 @@ def _minimise(
     A scan finds the neighbourhood. Each parabola through three costs brings the place nearer. Their number is fixed and
     the costs stay well apart, so that rounding errors of the costs move the place in proportion only.
     """
-    places: list[float] = np.linspace(low, high, _SCAN).tolist()
+    places: list[float] = np.linspace(low, high, SCAN).tolist()
     scanned, tried = _costs(cost, places, tried)
-    middle = min(max(int(np.argmin(scanned)), 1), _SCAN - 2)
+    middle = min(max(int(np.argmin(scanned)), 1), SCAN - 2)
     reach = places[1] - places[0]
     place = places[middle] + reach * _vertex(*scanned[middle - 1 : middle + 2])
     for _ in range(_PARABOLAS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ndob_fmu.runtime.design.intensity_law import IntensityLaw
 from ndob_fmu.runtime.design.start_up import start_up
 from ndob_fmu.runtime.design.stationary_design import Intensities
 from ndob_fmu.runtime.design.step_designs import StepDesign, StepDesigns
-from ndob_fmu.runtime.design.tuning import bandwidth_of, squared_errors
+from ndob_fmu.runtime.design.tuning import Search, bandwidth_of, squared_errors
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_sure
 from ndob_fmu.runtime.step.converged_step import frozen_memory, has_converged, is_quiet, least_squares
@@ -61,35 +62,45 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
         )
     f_as_noise, slopes = _judged(observer.designs, H), _judged(observer.tracking, H)
     designs = observer.designs if slopes is None and f_as_noise is not None else observer.tracking
-    if slopes is not None:
-        intensities, error = slopes
-    elif f_as_noise is not None:
-        intensities, error = f_as_noise[0], np.inf
+    judged = f_as_noise if slopes is None else slopes
+    if judged is not None:
+        intensities, error, searched = judged.intensities, judged.error, judged.searched
+        if slopes is None:
+            error = np.inf
     else:
-        intensities, error = designs.intensities(H), np.inf  # says why there is no tuning
+        intensities, error, searched = designs.intensities(H), np.inf, None  # says why there is no tuning
     freezes = False
     if f_as_noise is not None and _may_freeze(observer) and _f_is_slow(observer, H):
-        freezes = f_as_noise[1] <= _AS_GOOD**2 * error and f_as_noise[1] < np.inf
+        freezes = f_as_noise.error <= _AS_GOOD**2 * error and f_as_noise.error < np.inf
         if freezes:
-            intensities = f_as_noise[0]
+            intensities = f_as_noise.intensities
     bandwidth = bandwidth_of(observer.tracking.system, H, float(intensities.disturbance[0]), observer.known)
     return Tuned(
         H,
         filter_model(observer, intensities.scale, 0.25 / bandwidth),
         intensities,
-        designs.law(H),
+        designs.law(H, searched),
         freezes=freezes,
     )
 
 
-def _judged(designs: StepDesigns, H: float) -> tuple[Intensities, float] | None:
-    """Return the intensities for steps H (s) and J with them; None where there is no design."""
+class _Judged(NamedTuple):
+    """The intensities for a step, J with them, and the search for them, None with π."""
+
+    intensities: Intensities
+    error: float
+    searched: Search | None
+
+
+def _judged(designs: StepDesigns, H: float) -> _Judged | None:
+    """Return the intensities for steps H (s) and how good they are; None where there is no design."""
     try:
-        intensities = designs.intensities(H)
+        searched = designs.searched(H)
+        intensities = designs.intensities(H, searched)
         stationary = designs.at(H, tuned=intensities).stationary
     except DesignError:
         return None
-    return intensities, sum(squared_errors(stationary, designs.known))
+    return _Judged(intensities, sum(squared_errors(stationary, designs.known)), searched)
 
 
 def _f_is_slow(observer: PreparedObserver, H: float) -> bool:
