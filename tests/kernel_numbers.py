@@ -15,7 +15,7 @@ from ndob_fmu.runtime.design.augmented import augment
 from ndob_fmu.runtime.design.intensity_law import tuned_law
 from ndob_fmu.runtime.design.tuning import Knowledge, tuned_intensities
 from ndob_fmu.runtime.linear_part import LinearPart
-from ndob_fmu.runtime.numerics.transition import transition
+from ndob_fmu.runtime.numerics.transition import NO_PARTS, transition
 from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS, RANDOM
 
@@ -56,7 +56,7 @@ def of_tuning(linear: LinearPart, order: int, H: float, sigma: float) -> dict[st
     if order:
         law = tuned_law(system, H, ALPHA, known)
         found["law"] = np.array([*np.log(law.disturbance), law.exponent, law.limit_exponent])
-        done = transition(system.A, system.noise, H, np.zeros((len(system.A), 0)), ())
+        done = transition(system.A, system.noise, H, np.zeros((len(system.A), 0)), NO_PARTS)
         Phi, covariance = done.Phi, done.noise @ done.noise.T
         size = np.sqrt(np.diag(covariance))
         size = np.where(size > 0.0, size, 1.0)

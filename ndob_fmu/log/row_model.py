@@ -21,7 +21,7 @@ from ndob_fmu.runtime.step.time_update import predict_mean
 _SHORT = 0.25
 _MOST_PARTS = 16
 # What is left of a step after the instants of jumps inside it, and their weights.
-_AFTER = np.array(AFTER_JUMPS[1:])
+_AFTER = np.array(AFTER_JUMPS.shares[1:])
 NODE_WEIGHTS = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])
 
 

@@ -23,6 +23,7 @@ from ndob_fmu.native.equations import USED_BY_PRINTED, channel_size, equations_t
 from ndob_fmu.native.frozen import frozen_step_text
 from ndob_fmu.native.join import joined
 from ndob_fmu.native.runtime_code import part, places, runtime_texts
+from ndob_fmu.native.short_code import AS_BEFORE, SHORT_CODE
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk
 from ndob_fmu.native.variable_table import number, quoted
@@ -30,6 +31,9 @@ from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations
 from ndob_fmu.runtime.generated_steps import ObserverStep
 from ndob_fmu.runtime.step.channel_observer import read_out
+from ndob_fmu.runtime.step.delayed_outputs import PLACES
+from ndob_fmu.runtime.step.fixed_lag import kept
+from ndob_fmu.runtime.step.jump_bank import columns_of
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
 
@@ -63,8 +67,8 @@ _PER_DISTURBANCE = {
     "AT_RATE": "disturbance_rate",
     "AT_NOMINAL": "disturbance_nominal",
 }
-# Bytes that design and steps compute in, for each number of a state: they hold some tens of matrices of its size.
-_MEMORY_OF_A_NUMBER = 256
+# Bytes that design and steps compute in, for each number that the FMU counts. Where they are too few, it takes more.
+_MEMORY_OF_A_NUMBER = 112
 _COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep", "SampledObserverState")
 _PRINTED = (
     "nonlinearity",
@@ -108,24 +112,28 @@ def observer_code(model: Model) -> ComponentCode:
     variables = observer_variables(eq)
     own = [places(variables), _sizes(model, eq), _first_places(eq, variables)]
     reading = [part("channel.c")] if eq.channel else []
-    texts = [*_own_texts(model, eq), part("paper.c"), *own, part("call.c"), *reading, part("observer.c")]
+    around = [part("paper.c"), *own, part("shared.c"), part("call.c"), *reading, part("observer.c")]
+    texts = [*_own_texts(model, eq), SHORT_CODE, *around, AS_BEFORE]
     runtime = _runtime({**_TRANSLATED, **_AROUND, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
-    return ComponentCode(joined([*runtime, *texts], "start show step possible"))
+    return ComponentCode(joined([*runtime, *texts], "start show step possible end"), has_end=True)
 
 
 def _sizes(model: Model, eq: Equations) -> str:
     """Return the sizes of the model, and what its observer has to know of it, as C text."""
-    numbers = _numbers(model, eq)
+    lumped_inputs = model.vector_field.G_d.cols
     sizes = {
         "STATES": len(eq.states),
         "INPUTS": len(eq.inputs),
         "OUTPUTS": len(eq.outputs),
         "DISTURBANCES": len(eq.disturbances),
-        "LUMPED": model.vector_field.G_d.cols,
+        "LUMPED": lumped_inputs,
         "PARAMETERS": len(eq.parameters),
         "FEEDTHROUGH": int(any(eq.feedthrough)),
-        "NUMBERS": numbers,
-        "MEMORY": _MEMORY_OF_A_NUMBER * numbers,
+        "NUMBERS": _numbers(model, eq),
+        "IN_PAST": f"{PLACES}u",
+        "SIGNATURES": f"{columns_of(lumped_inputs)}u",
+        "LAGGED": f"{kept(1.0) * lumped_inputs}u",
+        "MEMORY_OF_A_NUMBER": f"{_MEMORY_OF_A_NUMBER}u",
     }
     ranges = (eq.ranges.get(name, (-inf, inf)) for name in eq.states)
     bounds = ", ".join(f"{{{number(low)}, {number(high)}}}" for low, high in ranges)

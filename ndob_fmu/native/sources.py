@@ -11,13 +11,15 @@ import fmpy
 
 from ndob_fmu.fmu.rules_header import rules_header
 from ndob_fmu.interface.variables import Variable
+from ndob_fmu.native.short_code import AS_BEFORE, SHORT_CODE
 from ndob_fmu.native.start_values import first_values
 from ndob_fmu.native.variable_table import counts, quoted, variable_table
 
 SHELL = Path(__file__).parent / "shell"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 _FRONT_SHELL = Path(__file__).parents[1] / "fmu" / "shell"
-_SHELL = ("text.c", "log.c", "handles.c", "environment.c", "values.c", "instance.c", "states.c")
+_IN_EVERY_STEP = ("handles.c", "environment.c", "values.c", "instance.c")
+_SELDOM = ("text.c", "log.c", "states.c")
 _HEADER_FILES = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -69,7 +71,11 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         rules_header(),
         _without_local_includes(SHELL / "shell.h"),
         _without_local_includes(_FRONT_SHELL / "utf8.c"),
-        *(_without_local_includes(SHELL / file) for file in (*_SHELL, f"fmi{fmi}.c")),
+        *(_without_local_includes(SHELL / file) for file in _IN_EVERY_STEP),
+        SHORT_CODE,
+        *(_without_local_includes(SHELL / file) for file in _SELDOM),
+        AS_BEFORE,
+        _without_local_includes(SHELL / f"fmi{fmi}.c"),
     ]
     if fmi == 3:
         parts.append(_unsupported_of_fmi3())

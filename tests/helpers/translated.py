@@ -62,6 +62,7 @@ class Arena(ctypes.Structure):
         ("used", ctypes.c_size_t),
         ("high", ctypes.c_size_t),
         ("full", ctypes.c_void_p),
+        ("tight", ctypes.c_bool),
         ("error", ctypes.c_int),
         ("message", ctypes.c_char * 300),
     ]
@@ -283,6 +284,7 @@ class Library:
         self._alive.clear()
         function = getattr(self.library, definition.name)
         self.library.nd_start(ctypes.byref(self.arena), self.block, ctypes.c_size_t(MEMORY))
+        self.arena.tight = True  # so that every result is moved
         given: list[Any] = [ctypes.byref(self.arena)]
         types: list[Any] = [ctypes.c_void_p]
         for value, parameter in zip(arguments, definition.parameters, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from random import Random
+from time import process_time
 
 import fmpy
 import numpy as np
@@ -234,3 +235,33 @@ def test_an_estimate_of_method_1_outside_its_range_is_said_in_the_words_of_the_p
         library.FreeInstance(handle)
     assert told[0] == told[1]
     assert told[0]
+
+
+def test_an_instance_takes_the_tuning_over_from_one_of_the_same_parameters(built):
+    """The results have the same bits, whether others of the same or of other parameters came before."""
+    _, _, _, fmu = built(JOINT)
+    folder, description = fmpy.extract(str(fmu)), fmpy.read_model_description(str(fmu))
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    slaves = []
+
+    def first_step(bound):
+        slave = fmpy.instantiate_fmu(folder, description)
+        slaves.append(slave)
+        slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+        slave.setReal([references["disturbance_bound"]], [bound])
+        slave.exitInitializationMode()
+        slave.setReal([references["link_angle"], references["motor_angle"]], [0.1, 0.11])
+        begin = process_time()
+        slave.doStep(0.0, 1e-3)
+        taken = process_time() - begin
+        return taken, slave.getReal([references["load_torque_hat"], references["load_torque_std"]])
+
+    alone, other = first_step(2.0), first_step(3.0)
+    again = [first_step(2.0) for _ in range(5)]
+    assert {tuple(values) for _, values in (alone, *again)} == {tuple(alone[1])}
+    assert alone[1] != other[1]
+    assert min(taken for taken, _ in again) < 0.3 * min(alone[0], other[0])
+    for slave in slaves:
+        slave.terminate()
+        slave.freeInstance()

@@ -8,7 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from ndob_fmu.runtime.numerics.transition import transition
+from ndob_fmu.runtime.numerics.transition import NO_PARTS, parts_of, transition
 
 
 def exact(F, g, H):
@@ -28,7 +28,7 @@ def exact(F, g, H):
 
 
 def sampled(F, g, H):
-    done = transition(F, g, H, np.zeros((len(F), 0)), ())
+    done = transition(F, g, H, np.zeros((len(F), 0)), NO_PARTS)
     return done.Phi, done.noise
 
 
@@ -83,7 +83,7 @@ def test_the_responses_within_a_step_are_those_of_steps_that_are_so_long(H):
     """Both for a step that one series spans and for one that is halved first."""
     random = np.random.default_rng(7)
     F, held, parts = random.normal(size=(5, 5)), random.normal(size=(5, 2)), (1.0, 0.887, 0.113)
-    responses = transition(F, np.zeros((5, 1)), H, held, parts).responses
+    responses = transition(F, np.zeros((5, 1)), H, held, parts_of(parts)).responses
     assert responses.shape == (3, 5, 2)
     for part, response in zip(parts, responses, strict=True):
         expected = exact(F, np.zeros((5, 1)), part * H)[0] @ held

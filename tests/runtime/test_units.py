@@ -10,7 +10,7 @@ from ndob_fmu.runtime.design.stationary_design import stationary_design
 from ndob_fmu.runtime.design.tuning import Knowledge, predicted_error, tuned_intensities
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics import transition as transition_module
-from ndob_fmu.runtime.numerics.transition import transition
+from ndob_fmu.runtime.numerics.transition import NO_PARTS, transition
 from ndob_fmu.runtime.numerics.units import natural_units
 
 SIGMA = 1e-4
@@ -105,7 +105,7 @@ def test_the_covariances_step_costs_no_more_doublings_in_other_units(base, monke
         for same, sigma in ((linear, np.full(3, SIGMA)), (units.changed(linear), SIGMA * units.y)):
             system = augment(same, 2, sigma)
             joined.clear()
-            transition(system.A, system.noise, 5e-3, np.zeros((10, 0)), (), system.units)
+            transition(system.A, system.noise, 5e-3, np.zeros((10, 0)), NO_PARTS, system.units)
             counts.append(len(joined))
     assert max(counts) <= 2
 

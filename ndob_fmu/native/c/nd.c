@@ -44,6 +44,16 @@ static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) 
     return at >= base + from && at < base + to;
 }
 
+/* Whether a function keeps what it took since a mark, because there is room for four times as much: to give it back takes
+   copies of its result. */
+bool nd_has_room(const nd_arena *a, size_t mark) { return !a->tight && 4 * (a->used - mark) <= a->size - a->used; }
+
+bool nd_was_tight(nd_arena *a) {
+    bool tight = a->tight;
+    a->tight = true;
+    return tight;
+}
+
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, 1}; }
 
 /* The one pass of a copy into another block. */
@@ -78,10 +88,25 @@ static bool is_compact(nd x) {
     return true;
 }
 
-static nd stored(nd_arena *a, nd_array view) {
-    nd x = nd_take_bytes(a, sizeof view);
-    *x = view;
+static bool same_shape(nd x, nd y) {
+    if (x->rank != y->rank) return false;
+    for (int i = 0; i < x->rank; i++)
+        if (x->n[i] != y->n[i]) return false;
+    return true;
+}
+
+/* The rows of small arrays are shorter than a call. */
+static nd view(nd_arena *a, double *p, int rank) {
+    nd x = nd_take_bytes(a, sizeof *x);
+    x->p = p;
+    x->rank = rank;
     return x;
+}
+
+static nd same_view(nd_arena *a, nd x) {
+    nd r = view(a, x->p, x->rank);
+    for (int i = 0; i < ND_RANK; i++) r->n[i] = x->n[i], r->s[i] = x->s[i];
+    return r;
 }
 
 void nd_keep_array(nd_keeping *k, nd *x) {
@@ -89,7 +114,7 @@ void nd_keep_array(nd_keeping *k, nd *x) {
     if (!*x) return;
     if (k->pass != 2) {
         if (k->pass == 3 || is_inside(k->a, (*x)->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
-        else if (is_inside(k->a, *x, k->mark, k->top)) *x = stored(k->a, **x);
+        else if (is_inside(k->a, *x, k->mark, k->top)) *x = same_view(k->a, *x);
         return;
     }
     if (!is_inside(k->a, *x, k->top, k->a->used)) return;
@@ -105,6 +130,7 @@ void nd_keep_array(nd_keeping *k, nd *x) {
 static bool is_whole(nd x) { return (void *)x->p == (void *)(x + 1) && is_compact(x); }
 
 nd nd_keep(nd_arena *a, size_t mark, nd x) {
+    if (nd_has_room(a, mark)) return x;
     nd_keeping k = {a, mark, a->used, 1};
     if (x && is_inside(a, x, mark, a->used) && is_whole(x)) {
         size_t bytes = sizeof *x + (size_t)nd_size(x) * sizeof(double);
@@ -123,17 +149,16 @@ static bool is_nan(double x) { return x != x; }
 
 /* -- loops: every array as one of four axes, the first ones of length one */
 
+/* Structures are written in place, entry by entry: processors wait where a copy reads what smaller writes just left. */
 typedef struct {
     int n[ND_RANK];
 } shape4;
 
-static shape4 shape_of(nd x) {
-    shape4 r;
+static void shape_of(nd x, shape4 *r) {
     for (int i = 0; i < ND_RANK; i++) {
         int axis = i - ND_RANK + x->rank;
-        r.n[i] = axis < 0 ? 1 : x->n[axis];
+        r->n[i] = axis < 0 ? 1 : x->n[axis];
     }
-    return r;
 }
 
 /* The strides of x over a shape, 0 along axes that it does not have or in which its length is one. */
@@ -153,16 +178,19 @@ static void strides_over(nd x, const shape4 *over, int *s) {
 /* -- making arrays */
 
 nd nd_new(nd_arena *a, int rank, const int *n) {
-    nd_array view = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
     int size = 1;
-    for (int i = rank - 1; i >= 0; i--) {
-        view.n[i] = n[i] > 0 ? n[i] : 0;
-        view.s[i] = size;
-        size *= view.n[i];
-    }
-    nd x = nd_take_bytes(a, sizeof view + sizeof(double) * (size_t)(size ? size : 1));
-    *x = view;
+    for (int i = 0; i < rank; i++) size *= n[i] > 0 ? n[i] : 0;
+    nd x = nd_take_bytes(a, sizeof *x + sizeof(double) * (size_t)(size ? size : 1));
     x->p = (double *)(void *)(x + 1);
+    x->rank = rank;
+    size = 1;
+    for (int i = rank - 1; i >= 0; i--) {
+        int length = n[i] > 0 ? n[i] : 0;
+        x->n[i] = length;
+        x->s[i] = size;
+        size *= length;
+    }
+    for (int i = rank; i < ND_RANK; i++) x->n[i] = x->s[i] = 1;
     return x;
 }
 
@@ -188,9 +216,18 @@ nd_array nd_around(int n, const double *values) {
     return view;
 }
 
-nd nd_view_of(nd_arena *a, int n, const double *values) { return stored(a, nd_around(n, values)); }
+nd nd_view(nd_arena *a, int n, double *values) {
+    nd x = view(a, values, 1);
+    x->n[0] = n, x->s[0] = 1;
+    for (int i = 1; i < ND_RANK; i++) x->n[i] = x->s[i] = 1;
+    return x;
+}
 
-nd nd_view(nd_arena *a, int n, double *values) { return nd_view_of(a, n, values); }
+nd nd_view_of(nd_arena *a, int n, const double *values) {
+    double *p;
+    memcpy(&p, &values, sizeof values);
+    return nd_view(a, n, p);
+}
 
 nd nd_eye(nd_arena *a, int rows, int columns, int k) {
     nd x = nd_full(a, 2, (int[]){rows, columns}, 0.0);
@@ -260,66 +297,86 @@ static int bounded(int at, int n) {
     return at < 0 ? 0 : at > n ? n : at;
 }
 
-static nd_array part_of(nd x, int count, const nd_ix *at) {
-    nd_array r = {x->p, 0, {1, 1, 1, 1}, {1, 1, 1, 1}};
-    int axis = 0;
+static void part_of(nd r, nd x, int count, const nd_ix *at) {
+    double *p = x->p;
+    int axis = 0, rank = 0;
     for (int i = 0; i < count; i++) {
         int start, stop;
         if (at[i].kind == ND_NEW) {
-            r.n[r.rank] = 1, r.s[r.rank++] = 0;
+            r->n[rank] = 1, r->s[rank++] = 0;
             continue;
         }
         if (at[i].kind == ND_AT) {
-            r.p += (at[i].a < 0 ? x->n[axis] + at[i].a : at[i].a) * x->s[axis];
+            p += (at[i].a < 0 ? x->n[axis] + at[i].a : at[i].a) * x->s[axis];
             axis++;
             continue;
         }
         start = bounded(at[i].a, x->n[axis]);
         stop = at[i].b == ND_END ? x->n[axis] : bounded(at[i].b, x->n[axis]);
-        r.p += start * x->s[axis];
-        r.n[r.rank] = stop > start ? stop - start : 0;
-        r.s[r.rank++] = x->s[axis++];
+        p += start * x->s[axis];
+        r->n[rank] = stop > start ? stop - start : 0;
+        r->s[rank++] = x->s[axis++];
     }
-    for (; axis < x->rank; axis++) r.n[r.rank] = x->n[axis], r.s[r.rank++] = x->s[axis];
+    for (; axis < x->rank; axis++) r->n[rank] = x->n[axis], r->s[rank++] = x->s[axis];
+    r->p = p;
+    r->rank = rank;
+    for (; rank < ND_RANK; rank++) r->n[rank] = r->s[rank] = 1;
+}
+
+nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at) {
+    nd r = nd_take_bytes(a, sizeof *r);
+    part_of(r, x, count, at);
     return r;
 }
 
-nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at) { return stored(a, part_of(x, count, at)); }
-
 nd nd_reversed(nd_arena *a, nd x) {
-    nd r = stored(a, *x);
+    nd r = same_view(a, x);
     if (x->n[0]) r->p += (x->n[0] - 1) * x->s[0];
     r->s[0] = -x->s[0];
     return r;
 }
 
-static nd_array row_of(nd x, int i) { return part_of(x, 1, (nd_ix[]){{ND_AT, i, 0}}); }
+static void row_of(nd r, nd x, int i) { part_of(r, x, 1, (nd_ix[]){{ND_AT, i, 0}}); }
 
-nd nd_row(nd_arena *a, nd x, int i) { return stored(a, row_of(x, i)); }
+nd nd_row(nd_arena *a, nd x, int i) {
+    nd r = nd_take_bytes(a, sizeof *r);
+    row_of(r, x, i);
+    return r;
+}
+
+/* Rows of small arrays are shorter than a call. */
+static void copy_row(double *to, int st, const double *from, int sf, int n) {
+    if (n > 16 && st == 1 && sf == 1) memmove(to, from, sizeof(double) * (size_t)n);
+    else
+        for (int i = 0; i < n; i++, to += st, from += sf) *to = *from;
+}
 
 void nd_put(nd x, nd value) {
     shape4 o;
-    if (x->rank == 2 && value->rank == 2 && x->s[1] == 1 && value->s[1] == 1 && value->n[0] == x->n[0] && value->n[1] == x->n[1]) {
-        for (int i = 0; i < x->n[0]; i++)
-            memmove(x->p + i * x->s[0], value->p + i * value->s[0], sizeof(double) * (size_t)x->n[1]);
+    int sx[ND_RANK], sv[ND_RANK];
+    if (same_shape(x, value) && is_compact(x) && is_compact(value)) {
+        copy_row(x->p, 1, value->p, 1, nd_size(x));
         return;
     }
-    o = shape_of(x);
-    int sx[ND_RANK], sv[ND_RANK];
+    if (x->rank <= 1 && value->rank <= 1) {
+        copy_row(x->p, x->s[0], value->p, value->n[0] == 1 ? 0 : value->s[0], x->rank ? x->n[0] : 1);
+        return;
+    }
+    if (x->rank == 2 && value->rank == 2 && value->n[0] == x->n[0] && value->n[1] == x->n[1]) {
+        for (int i = 0; i < x->n[0]; i++)
+            copy_row(x->p + i * x->s[0], x->s[1], value->p + i * value->s[0], value->s[1], x->n[1]);
+        return;
+    }
+    shape_of(x, &o);
     strides_over(x, &o, sx);
     strides_over(value, &o, sv);
-    ND_LOOP3(o) {
-        double *to = ND_ROW(x, sx);
-        const double *from = ND_ROW(value, sv);
-        if (sx[3] == 1 && sv[3] == 1) memmove(to, from, sizeof(double) * (size_t)o.n[3]);
-        else
-            for (int i = 0; i < o.n[3]; i++) to[i * sx[3]] = from[i * sv[3]];
-    }
+    ND_LOOP3(o) copy_row(ND_ROW(x, sx), sx[3], ND_ROW(value, sv), sv[3], o.n[3]);
 }
 
 void nd_put_number(nd x, double value) {
-    shape4 o = shape_of(x);
+    shape4 o;
     int sx[ND_RANK];
+    shape_of(x, &o);
     strides_over(x, &o, sx);
     ND_LOOP3(o) {
         double *to = ND_ROW(x, sx);
@@ -331,10 +388,10 @@ static int index_of(nd indices, int i) { return (int)nd_at(indices, i); }
 
 static nd_ix all_of(void) { return (nd_ix){ND_RANGE, 0, ND_END}; }
 
-static nd_array slot(nd x, int axis, int i) {
+static void slot(nd r, nd x, int axis, int i) {
     nd_ix at[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
     at[axis] = (nd_ix){ND_AT, i, 0};
-    return part_of(x, axis + 1, at);
+    part_of(r, x, axis + 1, at);
 }
 
 nd nd_take(nd_arena *a, nd x, nd indices, int axis) {
@@ -342,7 +399,9 @@ nd nd_take(nd_arena *a, nd x, nd indices, int axis) {
     like.n[axis] = nd_len(indices);
     nd r = nd_new(a, x->rank, like.n);
     for (int i = 0; i < nd_len(indices); i++) {
-        nd_array to = slot(r, axis, i), from = slot(x, axis, index_of(indices, i));
+        nd_array to, from;
+        slot(&to, r, axis, i);
+        slot(&from, x, axis, index_of(indices, i));
         nd_put(&to, &from);
     }
     return r;
@@ -363,8 +422,10 @@ void nd_put2(nd x, nd rows, nd columns, nd value) {
 
 void nd_put_rows(nd x, nd rows, nd value) {
     for (int i = 0; i < nd_len(rows); i++) {
-        nd_array to = row_of(x, index_of(rows, i)), from = value->rank < x->rank ? *value : row_of(value, i);
-        nd_put(&to, &from);
+        nd_array to, from;
+        row_of(&to, x, index_of(rows, i));
+        if (value->rank == x->rank) row_of(&from, value, i);
+        nd_put(&to, value->rank == x->rank ? &from : value);
     }
 }
 
@@ -425,54 +486,70 @@ int nd_integer(double x) { return x >= -1e9 && x <= 1e9 ? (int)x : -1; }
 /* -- forms */
 
 nd nd_transposed(nd_arena *a, nd x) {
-    nd r = stored(a, *x);
+    nd r = same_view(a, x);
     for (int i = 0; i < x->rank; i++) r->n[i] = x->n[x->rank - 1 - i], r->s[i] = x->s[x->rank - 1 - i];
     return r;
 }
 
 nd nd_permuted(nd_arena *a, nd x, const int *axes) {
-    nd r = stored(a, *x);
+    nd r = same_view(a, x);
     for (int i = 0; i < x->rank; i++) r->n[i] = x->n[axes[i]], r->s[i] = x->s[axes[i]];
     return r;
 }
 
 nd nd_reshape(nd_arena *a, nd x, int rank, const int *n) {
     int known = 1, size = nd_size(x);
-    nd_array r = {NULL, rank, {1, 1, 1, 1}, {1, 1, 1, 1}};
+    nd r = view(a, (is_compact(x) ? x : nd_copy(a, x))->p, rank);
     for (int i = 0; i < rank; i++) known *= n[i] < 0 ? 1 : n[i];
     for (int i = rank - 1, s = 1; i >= 0; i--) {
-        r.n[i] = n[i] < 0 ? (known ? size / known : 0) : n[i];
-        r.s[i] = s;
-        s *= r.n[i];
+        int length = n[i] < 0 ? (known ? size / known : 0) : n[i];
+        r->n[i] = length;
+        r->s[i] = s;
+        s *= length;
     }
-    r.p = (is_compact(x) ? x : nd_copy(a, x))->p;
-    return stored(a, r);
+    for (int i = rank; i < ND_RANK; i++) r->n[i] = r->s[i] = 1;
+    return r;
 }
 
 nd nd_concatenate(nd_arena *a, int axis, int count, const nd *x) {
-    nd_array like = *x[0];
-    int at = 0;
-    like.n[axis] = 0;
-    for (int i = 0; i < count; i++) like.n[axis] += x[i]->n[axis];
-    nd r = nd_new(a, like.rank, like.n);
+    int n[ND_RANK], at = 0;
+    for (int i = 0; i < ND_RANK; i++) n[i] = i == axis ? 0 : x[0]->n[i];
+    for (int i = 0; i < count; i++) n[axis] += x[i]->n[axis];
+    nd r = nd_new(a, x[0]->rank, n);
     for (int i = 0; i < count; at += x[i]->n[axis], i++) {
-        nd_ix where[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
-        where[axis] = (nd_ix){ND_RANGE, at, at + x[i]->n[axis]};
-        nd_array to = part_of(r, axis + 1, where);
-        nd_put(&to, x[i]);
+        nd_array to;
+        to.p = r->p + at * r->s[axis];
+        to.rank = r->rank;
+        for (int k = 0; k < ND_RANK; k++) to.n[k] = k == axis ? x[i]->n[k] : r->n[k], to.s[k] = r->s[k];
+        if (x[i]->n[axis]) nd_put(&to, x[i]);
     }
     return r;
 }
 
 nd nd_hstack(nd_arena *a, int count, const nd *x) { return nd_concatenate(a, x[0]->rank == 1 ? 0 : 1, count, x); }
 
-static nd_array as_row(nd x) { return x->rank == 1 ? part_of(x, 2, (nd_ix[]){{ND_NEW, 0, 0}, all_of()}) : *x; }
+static void as_row(nd r, nd x) {
+    bool is_row = x->rank == 1;
+    r->p = x->p;
+    r->rank = is_row ? 2 : x->rank;
+    for (int i = 0; i < ND_RANK; i++) r->n[i] = x->n[i], r->s[i] = x->s[i];
+    if (is_row) r->n[1] = x->n[0], r->s[1] = x->s[0], r->n[0] = 1, r->s[0] = 0;
+}
 
-static nd_array as_column(nd x) { return x->rank == 1 ? part_of(x, 2, (nd_ix[]){all_of(), {ND_NEW, 0, 0}}) : *x; }
+static void as_column(nd r, nd x) {
+    bool is_column = x->rank == 1;
+    r->p = x->p;
+    r->rank = is_column ? 2 : x->rank;
+    for (int i = 0; i < ND_RANK; i++) r->n[i] = x->n[i], r->s[i] = x->s[i];
+    if (is_column) r->n[1] = 1, r->s[1] = 0;
+}
 
-static nd stacked(nd_arena *a, int axis, int count, const nd *x, nd_array (*form)(nd)) {
+static nd stacked(nd_arena *a, int axis, int count, const nd *x, void (*form)(nd, nd)) {
     nd *forms = nd_take_bytes(a, sizeof(nd) * (size_t)count);
-    for (int i = 0; i < count; i++) forms[i] = stored(a, form(x[i]));
+    for (int i = 0; i < count; i++) {
+        forms[i] = nd_take_bytes(a, sizeof(nd_array));
+        form(forms[i], x[i]);
+    }
     return nd_concatenate(a, axis, count, forms);
 }
 
@@ -485,7 +562,8 @@ nd nd_stack(nd_arena *a, int count, const nd *x) {
     for (; count && rank <= x[0]->rank; rank++) n[rank] = x[0]->n[rank - 1];
     nd r = nd_new(a, rank, n);
     for (int i = 0; i < count; i++) {
-        nd_array to = row_of(r, i);
+        nd_array to;
+        row_of(&to, r, i);
         nd_put(&to, x[i]);
     }
     return r;
@@ -516,8 +594,11 @@ nd nd_delete(nd_arena *a, nd x, int i) {
 
 nd nd_diag(nd_arena *a, nd x) {
     nd r;
-    if (x->rank == 2)
-        return stored(a, (nd_array){x->p, 1, {nd_imin2(x->n[0], x->n[1]), 1, 1, 1}, {x->s[0] + x->s[1], 1, 1, 1}});
+    if (x->rank == 2) {
+        r = nd_view(a, nd_imin2(x->n[0], x->n[1]), x->p);
+        r->s[0] = x->s[0] + x->s[1];
+        return r;
+    }
     r = nd_full(a, 2, (int[]){x->n[0], x->n[0]}, 0.0);
     nd_fill_diagonal(r, x);
     return r;
@@ -531,20 +612,48 @@ void nd_fill_diagonal(nd x, nd values) {
 
 static double power(double x, double y) { return y == 2.0 ? x * x : y == 0.5 ? sqrt(x) : pow(x, y); }
 
-#define ND_EACH(op, value)                    \
-    case op:                                  \
-        for (int i = 0; i < n; i++) {         \
-            double u = x[i * sx], v = y[i * sy]; \
-            r[i] = (value);                   \
-        }                                     \
+/* Rows whose entries lie together, or are one number, are what compilers know to do several at a time. */
+#define ND_EACH(op, value)                        \
+    case op:                                      \
+        for (int i = 0; i < n; i++) {             \
+            double u = x[i * sx], v = y[i * sy];  \
+            r[i] = (value);                       \
+        }                                         \
         break;
 
-static void binary_row(int op, int n, double *r, const double *x, int sx, const double *y, int sy) {
+#define ND_FAST(op, value)                             \
+    case op:                                           \
+        if (sx == 1 && sy == 1)                        \
+            for (int i = 0; i < n; i++) {              \
+                double u = x[i], v = y[i];             \
+                r[i] = (value);                        \
+            }                                          \
+        else if (sx == 0 && sy == 1) {                 \
+            double u = *x;                             \
+            for (int i = 0; i < n; i++) {              \
+                double v = y[i];                       \
+                r[i] = (value);                        \
+            }                                          \
+        } else if (sx == 1 && sy == 0) {               \
+            double v = *y;                             \
+            for (int i = 0; i < n; i++) {              \
+                double u = x[i];                       \
+                r[i] = (value);                        \
+            }                                          \
+        } else                                         \
+            for (int i = 0; i < n; i++) {              \
+                double u = x[i * sx], v = y[i * sy];   \
+                r[i] = (value);                        \
+            }                                          \
+        break;
+
+static void binary_row(int op, int n, double *restrict r, const double *restrict x, int sx, const double *restrict y,
+                       int sy) {
     switch (op) {
-        ND_EACH(ND_ADD, u + v)
-        ND_EACH(ND_SUB, u - v)
-        ND_EACH(ND_MUL, u *v)
-        ND_EACH(ND_DIV, u / v)
+        ND_FAST(ND_ADD, u + v)
+        ND_FAST(ND_SUB, u - v)
+        ND_FAST(ND_MUL, u *v)
+        ND_FAST(ND_DIV, u / v)
         ND_EACH(ND_POW, power(u, v))
         ND_EACH(ND_MAX, u >= v || is_nan(u) ? u : v)
         ND_EACH(ND_MIN, u <= v || is_nan(u) ? u : v)
@@ -562,24 +671,17 @@ static void binary_row(int op, int n, double *r, const double *x, int sx, const 
     }
 }
 
-static bool same_shape(nd x, nd y) {
-    if (x->rank != y->rank) return false;
-    for (int i = 0; i < x->rank; i++)
-        if (x->n[i] != y->n[i]) return false;
-    return true;
-}
-
 /* The rows of small arrays are shorter than a call. */
-#define ND_EVERY(op, value)                                   \
-    case op:                                                  \
-        ND_LOOP3(o) {                                         \
-            double *to = ND_ROW(r, sr);                       \
+#define ND_EVERY(op, value)                                               \
+    case op:                                                              \
+        ND_LOOP3(o) {                                                     \
             const double *first = ND_ROW(x, sx), *second = ND_ROW(y, sy); \
-            for (int i = 0; i < o.n[3]; i++) {                \
-                double u = first[i * sx[3]], v = second[i * sy[3]]; \
-                to[i] = (value);                              \
-            }                                                 \
-        }                                                     \
+            for (int i = 0; i < o.n[3]; i++) {                            \
+                double u = *first, v = *second;                           \
+                *to++ = (value);                                          \
+                first += sx[3], second += sy[3];                          \
+            }                                                             \
+        }                                                                 \
         break;
 
 nd nd_binary(nd_arena *a, int op, nd x, nd y) {
@@ -589,19 +691,25 @@ nd nd_binary(nd_arena *a, int op, nd x, nd y) {
         binary_row(op, nd_size(r), r->p, x->p, x->rank > 0, y->p, y->rank > 0);
         return r;
     }
-    shape4 sx4 = shape_of(x), sy4 = shape_of(y), o;
-    int sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
+    shape4 sx4, sy4, o;
+    int sx[ND_RANK], sy[ND_RANK];
+    shape_of(x, &sx4);
+    shape_of(y, &sy4);
     for (int i = 0; i < ND_RANK; i++) o.n[i] = sx4.n[i] == 1 ? sy4.n[i] : sx4.n[i];
     r = nd_new(a, like->rank, o.n + ND_RANK - like->rank);
-    strides_over(r, &o, sr);
     strides_over(x, &o, sx);
     strides_over(y, &o, sy);
-    switch (op) {
+    double *to = r->p;
+    switch (o.n[3] < 8 ? op : -1) {
         ND_EVERY(ND_ADD, u + v)
         ND_EVERY(ND_SUB, u - v)
         ND_EVERY(ND_MUL, u *v)
         ND_EVERY(ND_DIV, u / v)
-    default: ND_LOOP3(o) binary_row(op, o.n[3], ND_ROW(r, sr), ND_ROW(x, sx), sx[3], ND_ROW(y, sy), sy[3]);
+    default:
+        ND_LOOP3(o) {
+            binary_row(op, o.n[3], to, ND_ROW(x, sx), sx[3], ND_ROW(y, sy), sy[3]);
+            to += o.n[3];
+        }
     }
     return r;
 }
@@ -623,16 +731,23 @@ nd nd_binary_nx(nd_arena *a, int op, double x, nd y) {
 }
 
 nd nd_map(nd_arena *a, double (*f)(double), nd x) {
-    nd r = nd_copy(a, x);
-    for (int i = 0, size = nd_size(r); i < size; i++) r->p[i] = f(r->p[i]);
+    nd r = nd_new(a, x->rank, x->n);
+    int size = nd_size(r);
+    const double *from = x->p;
+    if (!is_compact(x)) nd_put(r, x), from = r->p;
+    if (f == nd_square)
+        for (int i = 0; i < size; i++) r->p[i] = from[i] * from[i];
+    else
+        for (int i = 0; i < size; i++) r->p[i] = f(from[i]);
     return r;
 }
 
 nd nd_where(nd_arena *a, nd mask, nd x, nd y) {
     /* The sum of all has the shape of the result. */
     nd r = nd_binary(a, ND_ADD, nd_binary(a, ND_ADD, mask, x), y);
-    shape4 o = shape_of(r);
+    shape4 o;
     int sm[ND_RANK], sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
+    shape_of(r, &o);
     strides_over(mask, &o, sm);
     strides_over(x, &o, sx);
     strides_over(y, &o, sy);
@@ -683,7 +798,7 @@ double nd_reduced(int op, nd x) {
         for (int i = 0; i < x->n[0]; i++) r = more_of(op, r, x->p[i * x->s[0]]);
         return op == ND_NORM ? sqrt(r) : r;
     }
-    o = shape_of(x);
+    shape_of(x, &o);
     strides_over(x, &o, s);
     ND_LOOP3(o) {
         const double *row = ND_ROW(x, s);
@@ -699,6 +814,15 @@ nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
     if (axis < 0) axis += x->rank;
     for (int i = axis; i + 1 < x->rank; i++) like.n[i] = x->n[i + 1];
     nd r = nd_full(a, x->rank - 1, like.n, start_of(op));
+    if (x->rank == 2 && op == ND_SUM) {
+        for (int i = 0; i < r->n[0]; i++) {
+            const double *from = x->p + i * x->s[1 - axis];
+            double sum = 0.0;
+            for (int k = 0; k < x->n[axis]; k++) sum += from[k * x->s[axis]];
+            r->p[i] = sum;
+        }
+        return r;
+    }
     if (x->rank == 2) {
         for (int i = 0; i < r->n[0]; i++) {
             const double *from = x->p + i * x->s[1 - axis];
@@ -708,10 +832,11 @@ nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
         }
         return r;
     }
-    o = shape_of(r);
+    shape_of(r, &o);
     steps = x->n[axis];
     for (int k = 0; k < steps; k++) {
-        nd_array last = slot(x, axis, k);
+        nd_array last;
+        slot(&last, x, axis, k);
         strides_over(r, &o, sr);
         strides_over(&last, &o, sl);
         ND_LOOP3(o) {
@@ -792,38 +917,69 @@ bool nd_equal(nd x, nd y) {
 
 /* -- products */
 
+/* Two columns at a time stay in one register; each sum goes in the order of the terms. */
+#ifdef __GNUC__
+typedef double two __attribute__((vector_size(16)));
+typedef double two_in_memory __attribute__((vector_size(16), aligned(8), may_alias));
+static two two_of(double x) { return (two){x, x}; }
+static two two_at(const double *p) { return *(const two_in_memory *)p; }
+static void put_two(double *p, two x) { *(two_in_memory *)p = x; }
+#define ND_TIMES(x, y) ((x) * (y))
+#define ND_PLUS(x, y) ((x) + (y))
+#else
+typedef struct {
+    double p, q;
+} two;
+static two two_of(double x) { return (two){x, x}; }
+static two two_at(const double *p) { return (two){p[0], p[1]}; }
+static void put_two(double *p, two x) { p[0] = x.p, p[1] = x.q; }
+#define ND_TIMES(x, y) ((two){(x).p * (y).p, (x).q * (y).q})
+#define ND_PLUS(x, y) ((two){(x).p + (y).p, (x).q + (y).q})
+#endif
+
 /* r (rows,columns) in one piece = x (rows,inner) y (inner,columns), for the strides of rows and columns. */
-/* Four columns, or two, at a time stay in registers; each sum goes in the order of the terms. */
 static void multiply(double *r, int rows, int inner, int columns, const double *x, const int *sx, const double *y,
                      const int *sy) {
+    int next = sx[1], row = sy[0], column = sy[1];
     for (int i = 0; i < rows; i++, r += columns, x += sx[0]) {
         int j = 0;
-        for (; sy[1] == 1 && j + 4 <= columns; j += 4) {
-            double s0 = 0.0, s1 = 0.0, s2 = 0.0, s3 = 0.0;
+        for (; column == 1 && j + 6 <= columns; j += 6) {
+            two s0 = two_of(0.0), s1 = s0, s2 = s0;
             const double *u = x, *v = y + j;
-            for (int k = 0; k < inner; k++, u += sx[1], v += sy[0])
-                s0 += *u * v[0], s1 += *u * v[1], s2 += *u * v[2], s3 += *u * v[3];
-            r[j] = s0, r[j + 1] = s1, r[j + 2] = s2, r[j + 3] = s3;
+            for (int k = inner; k > 0; k--, u += next, v += row) {
+                two f = two_of(*u);
+                s0 = ND_PLUS(s0, ND_TIMES(f, two_at(v)));
+                s1 = ND_PLUS(s1, ND_TIMES(f, two_at(v + 2)));
+                s2 = ND_PLUS(s2, ND_TIMES(f, two_at(v + 4)));
+            }
+            put_two(r + j, s0), put_two(r + j + 2, s1), put_two(r + j + 4, s2);
         }
-        for (; sy[1] == 1 && j + 2 <= columns; j += 2) {
-            double s0 = 0.0, s1 = 0.0;
+        for (; column == 1 && j + 2 <= columns; j += 2) {
+            two sum = two_of(0.0);
             const double *u = x, *v = y + j;
-            for (int k = 0; k < inner; k++, u += sx[1], v += sy[0]) s0 += *u * v[0], s1 += *u * v[1];
-            r[j] = s0, r[j + 1] = s1;
+            for (int k = inner; k > 0; k--, u += next, v += row) sum = ND_PLUS(sum, ND_TIMES(two_of(*u), two_at(v)));
+            put_two(r + j, sum);
         }
         for (; j < columns; j++) {
             double sum = 0.0;
-            const double *u = x, *v = y + j * sy[1];
-            for (int k = 0; k < inner; k++, u += sx[1], v += sy[0]) sum += *u * *v;
+            const double *u = x, *v = y + j * column;
+            for (int k = inner; k > 0; k--, u += next, v += row) sum += *u * *v;
             r[j] = sum;
         }
     }
 }
 
 nd nd_matmul(nd_arena *a, nd x, nd y) {
-    nd_array left = as_row(x), right = as_column(y);
+    nd_array left, right;
+    as_row(&left, x);
+    as_column(&right, y);
     int lm = left.rank - 2, rm = right.rank - 2; /* 1 with a batch of matrices */
     int rows = left.n[lm], inner = left.n[lm + 1], columns = right.n[rm + 1];
+    if (lm && !rm && left.s[0] == rows * left.s[1]) { /* a batch times one matrix is one product */
+        nd r = nd_new(a, 3, (int[]){left.n[0], rows, columns});
+        multiply(r->p, left.n[0] * rows, inner, columns, left.p, left.s + 1, right.p, right.s);
+        return r;
+    }
     if (lm || rm) {
         int count = lm ? left.n[0] : right.n[0];
         nd r = nd_new(a, 3, (int[]){count, rows, columns});

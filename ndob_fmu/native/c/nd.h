@@ -3,7 +3,7 @@
    An array is a view: a pointer, and for each axis a length and a stride. Slices and transposes share memory with what
    they were taken from, as in NumPy. Code hands on the address of a view, which lies in the block too: that keeps the
    calls short. A view comes with or behind its numbers. All memory comes from one block, in order; a function gives back what it took when
-   it returns, but for its result (`nd_keep`). A method that finds no answer sets the error of the block, which translated
+   it returns, but for its result (`nd_keep`), unless there is a lot of room. A method that finds no answer sets the error of the block, which translated
    code looks at after each call that can fail. A block that is too small ends the call of the outermost function: its
    owner sets `full`. */
 #ifndef ND_H
@@ -32,6 +32,7 @@ typedef struct {
     char *base;
     size_t size, used, high; /* in bytes; `high`: the most that was used */
     jmp_buf *full;           /* where to go when the block is too small */
+    bool tight;              /* whether functions give back all they took, however much room there is */
     int error;               /* one of ND_NONE ... */
     char message[ND_MESSAGE];
 } nd_arena;
@@ -64,6 +65,8 @@ typedef struct {
     size_t mark, top;
     int pass;
 } nd_keeping;
+bool nd_has_room(const nd_arena *a, size_t mark);
+bool nd_was_tight(nd_arena *a); /* and is from now on */
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark);
 nd_keeping nd_copy_begin(nd_arena *to);
 void nd_keep_end(nd_keeping *k);

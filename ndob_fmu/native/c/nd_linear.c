@@ -145,6 +145,14 @@ static nd orthogonal_rows(nd_arena *a, nd A, int count) {
 
 nd nd_qr_q(nd_arena *a, nd A) { return nd_transposed(a, orthogonal_rows(a, A, nd_imin2(A->n[0], A->n[1]))); }
 
+/* What follows only few designs call, so that short code is better than fast code. */
+#if defined __clang__
+#pragma clang attribute push(__attribute__((minsize)), apply_to = function)
+#elif defined __GNUC__
+#pragma GCC push_options
+#pragma GCC optimize("Os")
+#endif
+
 /* -- Jacobi's rotations */
 
 static void rotation(double alpha, double beta, double gamma, double *c, double *s) {
@@ -429,3 +437,9 @@ nd_two nd_leggauss(nd_arena *a, int n) {
     }
     return (nd_two){x, w};
 }
+
+#if defined __clang__
+#pragma clang attribute pop
+#elif defined __GNUC__
+#pragma GCC pop_options
+#endif

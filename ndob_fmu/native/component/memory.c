@@ -15,6 +15,7 @@ static bool in_memory(nd_arena *arena, double *block, size_t bytes, const Job *j
     jmp_buf full;
     nd_start(arena, block, bytes);
     arena->full = &full;
+    arena->tight = true;
     if (setjmp(full) == 0) return hidden_work(job);
     say(job->call->instance, job->status, "memory", "enough for one step", "less", "a defect of this FMU; report it");
     return false;

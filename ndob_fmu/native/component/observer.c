@@ -1,7 +1,9 @@
 /* `<Name>Observer`: the disturbance observer, one step for each doStep.
  *
- * The build defines STATES, INPUTS, OUTPUTS, DISTURBANCES, PARAMETERS, FEEDTHROUGH, MEMORY, NUMBERS, `bounds_of_states`,
- * `noise_of_states`, and the places of the variables. */
+ * The build defines STATES, INPUTS, OUTPUTS, DISTURBANCES, PARAMETERS, FEEDTHROUGH, NUMBERS, IN_PAST, SIGNATURES,
+ * LAGGED, MEMORY_OF_A_NUMBER, `bounds_of_states`, `noise_of_states`, and the places of the variables.
+ *
+ * The memory to compute in is taken when the settings are known, which tell how much is needed. */
 #include "fmu.h"
 #include "translated.h"
 
@@ -25,15 +27,47 @@ typedef struct {
     double before[NUMBERS];
 #endif
     size_t count; /* of the numbers of the observer's state */
-    bool has_stepped, has_left[STATES + 1];
-    double memory[MEMORY / sizeof(double)];
+    bool has_stepped, has_warned, has_left[STATES + 1];
+    bool is_counted; /* among the users of what instances share */
+    void *memory; /* of `size` bytes */
+    size_t size;
 } Core;
 
 static bool fail_in(const Call *call, const Core *core, int error, Status status, const char *where) {
     const nd_arena *scratch = core->is_paper ? &core->paper.scratch : &core->observer.scratch;
     if (error > 0) return fail(call, scratch, status, where);
-    say(call->instance, status, "memory", "enough for the design", "less", "a defect of this FMU; report it");
+    say(call->instance, status, "memory", "enough for the design", "less", "the host has no more memory");
     return false;
+}
+
+/* -- memory */
+
+/* A measure of the memory that is needed, in numbers: the columns of errors, the signatures of jumps, and matrices. */
+static size_t about_numbers(const Call *call) {
+    size_t rows = STATES + (size_t)call->values[AT_disturbance_order] * LUMPED;
+    for (int i = 0; i < OUTPUTS; i++)
+        rows += (call->values[AT_DELAY + i] > 0.0 ? IN_PAST : 0u) + (call->values[AT_BIAS_STD + i] > 0.0 ? 1u : 0u);
+    for (int i = 0; i < PARAMETERS; i++) rows += call->values[AT_PARAMETER_STD + i] > 0.0;
+    size_t lagged = call->values[AT_lag] > 0.0 ? LAGGED : 0, columns = rows + SIGNATURES + lagged;
+    return rows * columns + (lagged + 8) * SIGNATURES + 8 * rows * rows;
+}
+
+/* Take so much memory in place of what there was; false where the host has less. */
+static bool take_memory(Core *core, size_t size) {
+    free(core->memory);
+    core->memory = malloc(size);
+    core->size = core->memory ? size : 0;
+    return core->memory != NULL;
+}
+
+static void end(void *memory) {
+    Core *core = memory;
+    free(core->memory);
+    core->memory = NULL;
+#if SHARES_TUNING
+    if (core->is_counted) stop_using_latest();
+    core->is_counted = false;
+#endif
 }
 
 #include <stdio.h>
@@ -57,6 +91,7 @@ static void join(char *line, size_t size, const char *const names[], int count, 
 /* Say which offsets of sensors a constant disturbance explains as well. */
 static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
     Sampled *self = &core->observer;
+    if (core->has_warned) return;
     nd biased = nd_new(&self->scratch, 1, (int[]){OUTPUTS});
     int count = 0;
     for (int i = 0; i < OUTPUTS; i++)
@@ -95,6 +130,7 @@ static void choose_estimated(const Call *call, Core *core, nd x_hat) {
         const char *name = fmu_parameter_names[i];
         char line[MESSAGE_SIZE] = "", disturbances[MESSAGE_SIZE] = "";
         core->estimated[i] = 0.0;
+        if (core->has_warned) continue;
         join(disturbances, sizeof disturbances, core->plant.disturbances.p, DISTURBANCES, " or ");
         snprintf(line, sizeof line,
                  "estimate_parameters: %s is not estimated, because a wrong one has the effect of a %.300s; %s_std widens "
@@ -108,7 +144,7 @@ static void choose_estimated(const Call *call, Core *core, nd x_hat) {
 static void warn_of_pace(const Call *call, Core *core, double H) {
     Sampled *self = &core->observer;
     char line[MESSAGE_SIZE];
-    if (setjmp(self->full)) return;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return;
     self->scratch.used = 0;
     nd_array x_hat = values_at(call, AT_HAT_START, STATES), bound = values_at(call, AT_BOUND, DISTURBANCES);
     nd_array rate = values_at(call, AT_RATE, DISTURBANCES);
@@ -209,14 +245,9 @@ static int check_in_memory(const Call *call, Core *core, nd x_hat) {
     if (lump_disturbances(call, core, &self->scratch)) return self->scratch.error;
     warn_of_offsets(call, core, x_hat);
     if (!self->scratch.error) choose_estimated(call, core, x_hat);
+    core->has_warned = true;
     if (!self->scratch.error) settings_check_settings(&self->scratch, &self->settings);
     return self->scratch.error;
-}
-
-/* Take over how many numbers of a state are used. Those that never were are left alone: they take no memory so. */
-static void set_count(State *state, size_t count) {
-    for (size_t i = count; i < (size_t)state->count; i++) state->numbers[i] = 0.0;
-    state->count = (double)count;
 }
 
 #if CHANNEL
@@ -243,19 +274,6 @@ static int read_channel(Core *core, double H, double *state) {
 }
 #endif
 
-/* Add what a channel remembers to the `count` numbers of an observer's first state. */
-static bool take_first_state(const Call *call, Core *core, size_t count) {
-    State *state = call->state;
-    core->count = count;
-#if CHANNEL
-    int error = start_channel(call, core, state->numbers + count);
-    if (error) return fail_in(call, core, error, ERROR, "start");
-    count += channel_state_size(&core->channel);
-#endif
-    set_count(state, count);
-    return true;
-}
-
 static int gains_of_paper(const Call *call, Core *core) {
     Paper *self = &core->paper;
     if (setjmp(self->full)) return PAPER_NO_MEMORY;
@@ -266,42 +284,85 @@ static int gains_of_paper(const Call *call, Core *core) {
                        call->values[AT_alpha], &noise_std, &bound, &nominal);
 }
 
-static bool start_paper(const Call *call, Core *core) {
+static int start_paper(const Call *call, Core *core, double *state) {
     Paper *self = &core->paper;
-    State *state = call->state;
+    nd_array x_hat = values_at(call, AT_HAT_START, STATES);
     memset(self, 0, sizeof *self);
-    paper_memory(self, core->memory, sizeof core->memory);
+    paper_memory(self, core->memory, core->size);
     set_plant(&core->plant, &self->lasting);
     set_equations(&self->equations, &self->lasting);
     self->parameters = lasting(call, &self->lasting, AT_PARAMETERS, PARAMETERS);
     int error = gains_of_paper(call, core);
-    if (error) return fail_in(call, core, error, ERROR, "start");
-    size_t count = paper_state_size(self);
-    if (count > NUMBERS) return fail_in(call, core, PAPER_NO_MEMORY, ERROR, "start");
+    if (error) return error;
+    core->count = paper_state_size(self);
+    if (core->count <= NUMBERS) paper_first_state(self, &x_hat, state);
+    return ND_NONE;
+}
+
+static int start_sampled(const Call *call, Core *core, double *state) {
+    Sampled *self = &core->observer;
     nd_array x_hat = values_at(call, AT_HAT_START, STATES);
-    paper_first_state(self, &x_hat, state->numbers);
-    return take_first_state(call, core, count);
+    memset(self, 0, sizeof *self);
+    sampled_memory(self, core->memory, core->size);
+    set_plant(&core->plant, &self->lasting);
+    take_settings(call, core);
+#if SHARES_TUNING
+    self->values = call->values;
+    self->recall = recall_latest;
+    self->publish = publish_latest;
+    if (!core->is_counted) use_latest(self);
+    core->is_counted = true;
+#endif
+    int error = check_in_memory(call, core, &x_hat);
+    if (!error) error = sampled_start(self, &x_hat);
+    if (error) return error;
+    core->count = self->count;
+    if (core->count <= NUMBERS) sampled_first_state(self, state);
+    return ND_NONE;
+}
+
+/* Make the observer in so much memory, or in more where that is too little, with its first state. */
+static int make(const Call *call, Core *core, size_t size, double *state) {
+    int error;
+    do {
+        if (!take_memory(core, size)) return SAMPLED_NO_MEMORY;
+        error = core->is_paper ? start_paper(call, core, state) : start_sampled(call, core, state);
+        if (!error && core->count > NUMBERS) return SAMPLED_NO_MEMORY;
+#if CHANNEL
+        if (!error) error = start_channel(call, core, state + core->count);
+#endif
+        size *= 2;
+    } while (error == SAMPLED_NO_MEMORY);
+    return error;
+}
+
+/* Take over how many numbers of a state are used. Those that never were are left alone: they take no memory so. */
+static void set_count(State *state, size_t count) {
+    for (size_t i = count; i < (size_t)state->count; i++) state->numbers[i] = 0.0;
+    state->count = (double)count;
+}
+
+static size_t numbers_used(const Core *core) {
+#if CHANNEL
+    return core->count + channel_state_size(&core->channel);
+#else
+    return core->count;
+#endif
 }
 
 static bool start(const Call *call, double time) {
     Core *core = call->core;
     State *state = call->state;
-    nd_array x_hat = values_at(call, AT_HAT_START, STATES);
     (void)time;
     memset(core->has_left, 0, sizeof core->has_left);
-    core->has_stepped = false;
+    core->has_stepped = core->has_warned = false;
     core->is_paper = call->values[AT_method] == 1.0;
-    if (core->is_paper) return start_paper(call, core);
-    memset(&core->observer, 0, sizeof core->observer);
-    sampled_memory(&core->observer, core->memory, sizeof core->memory);
-    set_plant(&core->plant, &core->observer.lasting);
-    take_settings(call, core);
-    int error = check_in_memory(call, core, &x_hat);
-    if (!error) error = sampled_start(&core->observer, &x_hat);
+    size_t size = MEMORY_OF_A_NUMBER * about_numbers(call);
+    if (core->is_paper) size *= 4; /* for the gains along pi */
+    int error = make(call, core, size, state->numbers);
     if (error) return fail_in(call, core, error, ERROR, "start");
-    if (core->observer.count > NUMBERS) return fail_in(call, core, SAMPLED_NO_MEMORY, ERROR, "start");
-    sampled_first_state(&core->observer, state->numbers);
-    return take_first_state(call, core, core->observer.count);
+    set_count(state, numbers_used(core));
+    return true;
 }
 
 static bool show(const Call *call) {
@@ -319,12 +380,11 @@ static bool show(const Call *call) {
     return true;
 }
 
-/* Advance the observer; where that fails the state is as before. */
-static int advance(const Call *call, Core *core, double step_size) {
+static int advance_once(const Call *call, Core *core, double step_size) {
     double *numbers_now = ((State *)call->state)->numbers;
     nd_array u = values_at(call, 0, INPUTS), y = values_at(call, INPUTS, OUTPUTS);
 #if CHANNEL
-    size_t size = (core->count + channel_state_size(&core->channel)) * sizeof(double);
+    size_t size = numbers_used(core) * sizeof(double);
     memcpy(core->before, numbers_now, size);
 #endif
     int error = core->is_paper ? paper_step(&core->paper, numbers_now, &u, &y, step_size, core->outputs)
@@ -333,6 +393,21 @@ static int advance(const Call *call, Core *core, double step_size) {
     if (!error) error = read_channel(core, step_size, numbers_now);
     if (error) memcpy(numbers_now, core->before, size);
 #endif
+    return error;
+}
+
+/* Advance the observer; where that fails the state is as before. A step for which there is too little memory is made
+ * again in more. */
+static int advance(const Call *call, Core *core, double step_size) {
+    int error = advance_once(call, core, step_size);
+    while (error == SAMPLED_NO_MEMORY) {
+        double *first_state = malloc(NUMBERS * sizeof(double));
+        if (!first_state) return error;
+        error = make(call, core, 2 * core->size, first_state);
+        free(first_state);
+        if (error) return error;
+        error = advance_once(call, core, step_size);
+    }
     return error;
 }
 
@@ -351,13 +426,8 @@ static bool step(const Call *call, double time, double step_size) {
 static bool possible(const Call *call, double begin, double now) {
     Core *core = call->core;
     State *state = call->state;
-    size_t count = core->count, read = 0;
-#if CHANNEL
-    read = channel_state_size(&core->channel);
-#endif
-    if (!finite_numbers(state->numbers + count, read)) return false;
-    count += read;
-    if (state->count != (double)count) return false;
+    if (!finite_numbers(state->numbers + core->count, numbers_used(core) - core->count)) return false;
+    if (state->count != (double)numbers_used(core)) return false;
     return core->is_paper ? paper_possible(&core->paper, state->numbers, now - begin)
                           : sampled_possible(&core->observer, state->numbers);
 }

@@ -74,7 +74,8 @@ static void write_paper_state(Paper *self, const PaperObserverState *from, doubl
 int paper_start(Paper *self, double pi_start, double pi_end, double ramp_time, double alpha, nd noise_std, nd bound,
                 nd nominal) {
     PiSchedule schedule = {pi_start, pi_end, ramp_time};
-    if (setjmp(self->full)) return PAPER_NO_MEMORY;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return PAPER_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PiSchedule___post_init__(&self->scratch, &schedule);
@@ -88,13 +89,15 @@ int paper_start(Paper *self, double pi_start, double pi_end, double ramp_time, d
 /* Write the state that starts from an estimate. */
 void paper_first_state(Paper *self, nd x_hat, double *state) {
     self->scratch.used = 0;
+    self->scratch.tight = true;
     PaperObserverState first = PaperObserver_init(&self->scratch, &self->observer, x_hat);
     write_paper_state(self, &first, state);
 }
 
 /* Advance a state by H from a sample y, with the input u held. `outputs`: the fields of Estimate but for x_at_sample. */
 int paper_step(Paper *self, double *state, nd u, nd y, double H, double *outputs) {
-    if (setjmp(self->full)) return PAPER_NO_MEMORY;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return PAPER_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);
@@ -106,7 +109,8 @@ int paper_step(Paper *self, double *state, nd u, nd y, double H, double *outputs
 
 /* What is known at a sample before any step from it. */
 int paper_show(Paper *self, const double *state, nd y, double *outputs) {
-    if (setjmp(self->full)) return PAPER_NO_MEMORY;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return PAPER_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);
@@ -118,7 +122,8 @@ int paper_show(Paper *self, const double *state, nd y, double *outputs) {
 /* Whether numbers can be a state, `elapsed` s after the start. */
 bool paper_possible(Paper *self, const double *state, double elapsed) {
     PaperSizes s = paper_sizes(self);
-    if (setjmp(self->full)) return false;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return false;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);

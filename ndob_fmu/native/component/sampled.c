@@ -11,7 +11,9 @@ typedef struct {
     nd_arena memory;
 } Kept;
 
-typedef struct {
+typedef struct Sampled Sampled;
+
+struct Sampled {
     Equations equations;
     nd parameters;
     ObserverSettings settings;
@@ -24,30 +26,34 @@ typedef struct {
     nd_arena lasting, scratch;
     Kept of_tuned, of_design, of_converged;
     jmp_buf full;
-} Sampled;
+    const double *values; /* of the variables, for the two functions below */
+    bool (*recall)(Sampled *self, double H, nd none); /* take the tuning over from an instance like this one, or NULL */
+    void (*publish)(const Sampled *self, double H);   /* hand it to others */
+};
 
 enum { SAMPLED_NO_MEMORY = -1 };
 
-/* Divide a block of memory: half of it to compute in. */
+/* Divide a block of memory: more than half of it to compute in. */
 void sampled_memory(Sampled *self, void *block, size_t bytes) {
     nd_arena *const parts[] = {&self->lasting, &self->of_tuned.memory, &self->of_design.memory,
-                               &self->of_converged.memory};
-    size_t part = bytes / 8;
-    for (size_t i = 0; i < 4; i++) {
-        nd_start(parts[i], (char *)block + i * part, part);
+                               &self->of_converged.memory, &self->scratch};
+    static const size_t shares[] = {5, 2, 3, 3, 19}; /* of 32 */
+    char *begin = block;
+    for (size_t i = 0; i < 5; begin += bytes / 32 * shares[i], i++) {
+        nd_start(parts[i], begin, bytes / 32 * shares[i]);
         parts[i]->full = &self->full;
     }
-    nd_start(&self->scratch, (char *)block + 4 * part, bytes - 4 * part);
-    self->scratch.full = &self->full;
 }
+
 
 static bool is_kept(const Kept *kept, double H, double tuned_at, nd noise) {
     return kept->some && kept->H == H && kept->tuned_at == tuned_at && nd_equal(kept->noise, noise);
 }
 
+/* Begin to keep a result; the caller says so when it is whole. */
 static nd_arena *keep(Kept *kept, double H, double tuned_at, nd noise) {
     kept->memory.used = 0;
-    kept->some = true;
+    kept->some = false;
     kept->H = H;
     kept->tuned_at = tuned_at;
     kept->noise = nd_copy(&kept->memory, noise);
@@ -56,10 +62,13 @@ static nd_arena *keep(Kept *kept, double H, double tuned_at, nd noise) {
 
 static const Tuned *tuned_for(Sampled *self, double H) {
     nd none = nd_full(&self->scratch, 1, (int[]){0}, 0.0);
-    if (!is_kept(&self->of_tuned, H, H, none)) {
+    if (!is_kept(&self->of_tuned, H, H, none) && !(self->recall && self->recall(self, H, none))) {
         Tuned found = tuned_tune(&self->scratch, &self->prepared, H);
         self->of_tuned.some = false;
-        if (!self->scratch.error) self->tuned = copied_Tuned(keep(&self->of_tuned, H, H, none), found);
+        if (self->scratch.error) return &self->tuned;
+        self->tuned = copied_Tuned(keep(&self->of_tuned, H, H, none), found);
+        self->of_tuned.some = true;
+        if (self->publish) self->publish(self, H);
     }
     return &self->tuned;
 }
@@ -76,6 +85,7 @@ static StepDesign sampled_design(nd_arena *arena, const void *env, double H, dou
         self->of_design.some = false;
         if (arena->error) return found;
         self->design = copied_StepDesign(keep(&self->of_design, H, tuned_at, noise), found);
+        self->of_design.some = true;
     }
     return self->design;
 }
@@ -95,6 +105,7 @@ static const m_ConvergedStep *converged_for(Sampled *self, double H, double tune
         nd_arena *memory = keep(&self->of_converged, H, tuned_at, noise);
         self->converged.some = found.some;
         if (found.some) self->converged.value = copied_ConvergedStep(memory, found.value);
+        self->of_converged.some = true;
     }
     return &self->converged;
 }
@@ -108,7 +119,8 @@ static SampledObserverState given_state(Sampled *self, const double *state) {
 /* What is left of the memory: it has room for a state, because every step takes copies of it there. */
 static double *room_of(const Sampled *self) { return (double *)(void *)(self->scratch.base + self->scratch.used); }
 
-static void start_in_memory(Sampled *self, nd x_hat) {
+static void start_in_memory(Sampled *self, size_t mark, nd x_hat) {
+    self->lasting.used = mark;
     PreparedObserver found =
         preparation_prepared(&self->scratch, &self->equations, self->parameters, &self->settings, x_hat);
     if (self->scratch.error) return;
@@ -162,9 +174,11 @@ static int ended(const Sampled *self) { return self->scratch.error; }
 /* Make all that the steps have in common, for an estimate to start from. Returns an error of nd.h, whose message
  * `scratch` holds, or SAMPLED_NO_MEMORY. */
 int sampled_start(Sampled *self, nd x_hat) {
-    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    const size_t mark = self->lasting.used;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
-    start_in_memory(self, x_hat);
+    start_in_memory(self, mark, x_hat);
     return ended(self);
 }
 
@@ -175,7 +189,8 @@ void sampled_first_state(const Sampled *self, double *state) { (void)write_Sampl
  * but for x_at_sample. */
 int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
     if (!CHANNEL && step_as_kept(self, state, u, y, H, outputs)) return ND_NONE; /* which knows no x at the sample */
-    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     step_in_memory(self, state, u, y, H, outputs);
@@ -184,7 +199,8 @@ int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *out
 
 /* What is known at a sample before any step from it. `u`: the inputs now, or NULL for those of the state. */
 int sampled_show(Sampled *self, const double *state, const double *u, nd y, double *outputs) {
-    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     SampledObserverState given = given_state(self, state);
@@ -196,7 +212,8 @@ int sampled_show(Sampled *self, const double *state, const double *u, nd y, doub
 
 /* Whether numbers can be a state. */
 bool sampled_possible(Sampled *self, const double *state) {
-    if (setjmp(self->full)) return false;
+    self->scratch.tight = false;
+    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return false;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     SampledObserverState given = given_state(self, state);

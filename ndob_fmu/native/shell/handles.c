@@ -1,5 +1,6 @@
 /* Handles: names of objects. No name is used twice, so that a host may come with one that was freed, or is another FMU's,
- * or was never one. This table is all that an FMU writes outside the blocks of its instances; with NDOB_NO_HANDLES a
+ * or was never one. Besides this table an FMU writes only the tuning that observers share outside the blocks of its
+ * instances. With NDOB_NO_HANDLES it writes nothing there: a
  * handle is the object's address, and a host must not come with a wrong one. */
 #include "shell.h"
 

@@ -83,7 +83,10 @@ class Expressions(Operators):
         found = self.program.resolve(self.module, node.id)
         if found is not None:
             value = getattr(found[0].live, found[1])
-            known = self.program.class_of(found[0], type(value).__name__)
+            made = type(value)
+            known = None
+            if made.__module__.startswith("ndob_fmu."):
+                known = self.program.class_of(self.program.module(made.__module__), made.__name__)
             return self.literal(value, node) if known is None else self._instance(value, known, node)
         if self.program.outside(self.module, node.id) in ("math.inf", "math.pi", "math.nan"):
             import math

@@ -107,6 +107,7 @@ def _kept(kind: Kind) -> str:
     own = c_type(kind)
     return (
         f"static {own} kept_{word(kind)}(nd_arena *arena, size_t mark, {own} x) {{\n"
+        "    if (nd_has_room(arena, mark)) return x;\n"
         "    nd_keeping k = nd_keep_begin(arena, mark);\n"
         f"    for (; k.pass <= 2; k.pass++) keep_{word(kind)}(&k, &x);\n"
         "    nd_keep_end(&k);\n    return x;\n}\n"

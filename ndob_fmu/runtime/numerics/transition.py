@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from math import ceil, factorial, log2
 
 import numpy as np
@@ -44,6 +43,28 @@ _FACTORIALS = np.array([float(factorial(k)) for k in range(_POWERS + 1)])
 
 
 @dataclass(frozen=True)
+class StepParts:
+    """Parts of a step, to be made once.
+
+    shares: s of each, 1 for the whole step
+    weights (parts,powers + 1): s^k/k!
+    """
+
+    shares: tuple[float, ...]
+    weights: Array
+
+
+def parts_of(shares: Sequence[float]) -> StepParts:
+    """Return parts of a step by their shares in it."""
+    weights = np.array([[share**k for k in range(_POWERS + 1)] for share in shares])
+    return StepParts(tuple(shares), np.asarray(weights.reshape(-1, _POWERS + 1) / _FACTORIALS))
+
+
+_WHOLE = parts_of((1.0,))
+NO_PARTS = parts_of(())
+
+
+@dataclass(frozen=True)
 class Transition:
     """A step.
 
@@ -58,7 +79,7 @@ class Transition:
 
 
 def transition(
-    F: Array, channel: Array, H: float, held: Array, parts: tuple[float, ...], units: Array | None = None
+    F: Array, channel: Array, H: float, held: Array, parts: StepParts, units: Array | None = None
 ) -> Transition:
     """Return a step H > 0 s, for F (N,N), the noise's channel g (N,g), and `held` columns (N,h).
 
@@ -74,14 +95,14 @@ def transition(
     doublings = min(max(0, ceil(log2(size / _RADIUS))), _MOST_DOUBLINGS) if size > _RADIUS else 0
     h = H / 2.0**doublings
     powers = _powers(F * h)
-    Phi: Array = _sum(powers, _weights_of((1.0,)))[0]
+    Phi: Array = _sum(powers, _WHOLE.weights)[0]
     noise = _short(powers, channel, h)
     if not doublings:
-        return Transition(Phi, noise, _sum(powers, _weights_of(parts)) @ held)
+        return Transition(Phi, noise, _sum(powers, parts.weights) @ held)
     for _ in range(doublings):
         noise = triangular(np.concatenate([noise, Phi @ noise, np.zeros_like(F)], axis=1))
         Phi = Phi @ Phi
-    return Transition(Phi, noise, np.array([exponential(F * (part * H)) @ held for part in parts]))
+    return Transition(Phi, noise, np.array([exponential(F * (share * H)) @ held for share in parts.shares]))
 
 
 def _powers(X: Array) -> Array:
@@ -96,13 +117,6 @@ def _powers(X: Array) -> Array:
         powers[count : count + more] = powers[1 : 1 + more] @ powers[count - 1]
         count += more
     return powers
-
-
-@lru_cache(maxsize=16)
-def _weights_of(parts: Sequence[float]) -> Array:
-    """Return s^k/k! (parts,powers + 1)."""
-    weights = np.array([[part**k for k in range(_POWERS + 1)] for part in parts])
-    return np.asarray(weights.reshape(-1, _POWERS + 1) / _FACTORIALS)
 
 
 def _sum(powers: Array, weights: Array) -> Array:

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.numerics.transition import parts_of
 from ndob_fmu.runtime.step.filter_state import JumpBank
 
 # A jump is expected every three hundredth sample. It may be as large as from one bound to the other: V = 2 D₀².
@@ -29,7 +30,7 @@ _VARIANCE = 2.0
 LENGTH = 12
 # The instants of a jump, in parts of the step, and their weights.
 INSTANTS = (0.0, 0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5)
-AFTER_JUMPS = tuple(1.0 - instant for instant in INSTANTS)
+AFTER_JUMPS = parts_of([1.0 - instant for instant in INSTANTS])
 _NODES = 3
 _WEIGHTS = np.array([[1.0, 0.0, 0.0], [5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0]])
 _KINDS = len(_WEIGHTS)

@@ -18,7 +18,7 @@ from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.numerics.kalman import triangular
 from ndob_fmu.runtime.numerics.stiff import integrate_any
-from ndob_fmu.runtime.numerics.transition import Transition, transition
+from ndob_fmu.runtime.numerics.transition import NO_PARTS, Transition, transition
 from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS
@@ -73,7 +73,7 @@ def predict(
     for _ in range(parts):
         end = predict_mean(model, xi, u, H / parts)
         F_end = model.rates(end, u)
-        done = transition(0.5 * (F + F_end), channel, H / parts, model.jump_channel, (), units)
+        done = transition(0.5 * (F + F_end), channel, H / parts, model.jump_channel, NO_PARTS, units)
         columns = _moved(model, xi, columns, u, H / parts, done, starting=starting)
         whole, xi, F = done.Phi @ whole, end, F_end
     return Predicted(end, columns, whole, jumps)
