@@ -81,6 +81,8 @@ void nd_keep_shift(nd_keeping *k, void **p) {
 }
 
 static bool is_compact(nd x) {
+    if (x->rank == 1) return x->s[0] == 1 || x->n[0] == 1;
+    if (x->rank == 2) return (x->s[1] == 1 || x->n[1] == 1) && (x->s[0] == x->n[1] || x->n[0] == 1);
     for (int i = x->rank - 1, s = 1; i >= 0; i--) {
         if (x->s[i] != s && x->n[i] != 1) return false;
         s *= x->n[i];
@@ -178,19 +180,18 @@ static void strides_over(nd x, const shape4 *over, int *s) {
 /* -- making arrays */
 
 nd nd_new(nd_arena *a, int rank, const int *n) {
+    nd x = nd_take_bytes(a, sizeof *x);
     int size = 1;
-    for (int i = 0; i < rank; i++) size *= n[i] > 0 ? n[i] : 0;
-    nd x = nd_take_bytes(a, sizeof *x + sizeof(double) * (size_t)(size ? size : 1));
     x->p = (double *)(void *)(x + 1);
     x->rank = rank;
-    size = 1;
+    for (int i = ND_RANK - 1; i >= rank; i--) x->n[i] = x->s[i] = 1;
     for (int i = rank - 1; i >= 0; i--) {
         int length = n[i] > 0 ? n[i] : 0;
         x->n[i] = length;
         x->s[i] = size;
         size *= length;
     }
-    for (int i = rank; i < ND_RANK; i++) x->n[i] = x->s[i] = 1;
+    (void)nd_take_bytes(a, sizeof(double) * (size_t)(size ? size : 1));
     return x;
 }
 
@@ -325,6 +326,15 @@ static void part_of(nd r, nd x, int count, const nd_ix *at) {
 
 nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at) {
     nd r = nd_take_bytes(a, sizeof *r);
+    if (x->rank == 1 && count == 1 && at->kind == ND_RANGE) {
+        int start = bounded(at->a, x->n[0]), stop = at->b == ND_END ? x->n[0] : bounded(at->b, x->n[0]);
+        r->p = x->p + start * x->s[0];
+        r->rank = 1;
+        r->n[0] = stop > start ? stop - start : 0;
+        r->s[0] = x->s[0];
+        for (int i = 1; i < ND_RANK; i++) r->n[i] = r->s[i] = 1;
+        return r;
+    }
     part_of(r, x, count, at);
     return r;
 }
@@ -686,6 +696,11 @@ static void binary_row(int op, int n, double *restrict r, const double *restrict
 
 nd nd_binary(nd_arena *a, int op, nd x, nd y) {
     nd like = x->rank >= y->rank ? x : y, r;
+    if (like->rank == 1 && (x->rank == 0 || y->rank == 0 || x->n[0] == y->n[0])) {
+        r = nd_new(a, 1, like->n);
+        binary_row(op, r->n[0], r->p, x->p, x->rank ? x->s[0] : 0, y->p, y->rank ? y->s[0] : 0);
+        return r;
+    }
     if ((x->rank == 0 || is_compact(x)) && (y->rank == 0 || is_compact(y)) && (x->rank == 0 || y->rank == 0 || same_shape(x, y))) {
         r = nd_new(a, like->rank, like->n);
         binary_row(op, nd_size(r), r->p, x->p, x->rank > 0, y->p, y->rank > 0);

@@ -6,6 +6,7 @@ An iteration of a loop gives back the memory that it took when it ends. What is 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Sequence
 
 from ndob_fmu.native.translate.assignments import Assignments
@@ -266,7 +267,18 @@ class Statements(Assignments):
             self.line(f"return {name};")
         else:
             self.use(kind)
+            self._leave_as_returned(value.text)
             self.line(f"return kept_{word(kind)}(arena, mark_, {value.text});")
+
+    def _leave_as_returned(self, name: str) -> None:
+        """Hand a result of another function on without a copy where little was taken before that was called."""
+        place = len(self.lines) - 1
+        while place >= 0 and self.lines[place].startswith("if (arena->error)"):
+            place -= 1
+        if place >= 0 and name.isidentifier() and re.fullmatch(rf"{name} = \w+\(arena, .*\);", self.lines[place]):
+            self.declared["before_"] = Unknown("size_t")
+            self.lines.insert(place, "before_ = arena->used;")
+            self.line(f"if (before_ - mark_ <= arena->size / 32) return {name};")
 
     def _holds(self, kind: Kind) -> bool:
         return holds_memory(self.program, kind)
