@@ -115,7 +115,7 @@ def observer_code(model: Model) -> ComponentCode:
     around = [part("paper.c"), *own, part("shared.c"), part("call.c"), *reading, part("observer.c")]
     texts = [*_own_texts(model, eq), SHORT_CODE, *around, AS_BEFORE]
     runtime = _runtime({**_TRANSLATED, **_AROUND, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
-    return ComponentCode(joined([*runtime, *texts], "start show step possible end"), has_end=True)
+    return ComponentCode(joined([*runtime, *texts], "start show step possible end"), has_end=True, sizes_state=True)
 
 
 def _sizes(model: Model, eq: Equations) -> str:

@@ -19,7 +19,7 @@ SHELL = Path(__file__).parent / "shell"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 _FRONT_SHELL = Path(__file__).parents[1] / "fmu" / "shell"
 _IN_EVERY_STEP = ("handles.c", "environment.c", "values.c", "instance.c")
-_SELDOM = ("text.c", "log.c", "states.c")
+_SELDOM: tuple[str, ...] = ("text.c", "log.c", "states.c")
 _HEADER_FILES = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -46,10 +46,12 @@ class ComponentCode:
     text: definitions of the functions `start`, `show`, `step` and `possible`, of the types `Core` and `State`, and of
         all that these use
     has_end: whether there is a function `end` too
+    sizes_state: whether `start` takes the memory of the state
     """
 
     text: str
     has_end: bool = False
+    sizes_state: bool = False
 
 
 def sources(name: str, token: str, variables: Sequence[Variable], code: ComponentCode, fmi: int) -> dict[str, str]:
@@ -60,9 +62,14 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
     """
     members = f"{counts(variables)}, .core_size = sizeof(Core), .state_size = sizeof(State)"
     names = ("start", "show", "step", "possible", *(("end",) if code.has_end else ()))
+    beginning, seldom = _BEGINNING.format(name=name), _SELDOM
+    if code.sizes_state:
+        members += ", .sizes_state = true"
+        beginning += "#define SIZES_STATE\n"
+        seldom += ("state_memory.c",)
     functions = ", ".join(f".{function} = {function}" for function in names)
     parts = [
-        _BEGINNING.format(name=name),
+        beginning,
         _without_local_includes(SHELL / "fmu.h"),
         code.text,
         variable_table(variables),
@@ -73,7 +80,7 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         _without_local_includes(_FRONT_SHELL / "utf8.c"),
         *(_without_local_includes(SHELL / file) for file in _IN_EVERY_STEP),
         SHORT_CODE,
-        *(_without_local_includes(SHELL / file) for file in _SELDOM),
+        *(_without_local_includes(SHELL / file) for file in seldom),
         AS_BEFORE,
         _without_local_includes(SHELL / f"fmi{fmi}.c"),
     ]

@@ -103,7 +103,7 @@ def test_memory_is_asked_for_by_an_instance_when_its_settings_are_known_and_by_a
     made, *others = blocks
     assert made == 1
     # An observer's settings tell how much it needs; the first one also takes what instances share.
-    settings_known = {"exit": 3} if name.startswith("observer") else {}
+    settings_known = {"exit": 5} if name.startswith("observer") else {}
     assert {call: count for call, count in zip(calls, others, strict=True) if count} == {**settings_known, "save": 1}
 
 

@@ -10,8 +10,8 @@
 enum { SHOWN = STATES + 5 * DISTURBANCES + 2 * OUTPUTS + 2 };
 
 typedef struct {
-    double count; /* of the numbers that are used, which the settings determine; the others are 0 */
-    double numbers[NUMBERS];
+    double count; /* of the numbers, which the settings determine */
+    double numbers[NUMBERS]; /* and at most */
 } State;
 
 typedef struct {
@@ -336,12 +336,6 @@ static int make(const Call *call, Core *core, size_t size, double *state) {
     return error;
 }
 
-/* Take over how many numbers of a state are used. Those that never were are left alone: they take no memory so. */
-static void set_count(State *state, size_t count) {
-    for (size_t i = count; i < (size_t)state->count; i++) state->numbers[i] = 0.0;
-    state->count = (double)count;
-}
-
 static size_t numbers_used(const Core *core) {
 #if CHANNEL
     return core->count + channel_state_size(&core->channel);
@@ -350,19 +344,29 @@ static size_t numbers_used(const Core *core) {
 #endif
 }
 
+/* Put a first state into memory of its own size. */
+static int take_state(const Call *call, const Core *core, const double *first) {
+    size_t bytes = numbers_used(core) * sizeof(double);
+    State *state = state_memory(call->instance, offsetof(State, numbers) + bytes);
+    if (!state) return SAMPLED_NO_MEMORY;
+    state->count = (double)numbers_used(core);
+    memcpy(state->numbers, first, bytes);
+    return ND_NONE;
+}
+
 static bool start(const Call *call, double time) {
     Core *core = call->core;
-    State *state = call->state;
     (void)time;
     memset(core->has_left, 0, sizeof core->has_left);
     core->has_stepped = core->has_warned = false;
     core->is_paper = call->values[AT_method] == 1.0;
     size_t size = MEMORY_OF_A_NUMBER * about_numbers(call);
     if (core->is_paper) size *= 4; /* for the gains along pi */
-    int error = make(call, core, size, state->numbers);
-    if (error) return fail_in(call, core, error, ERROR, "start");
-    set_count(state, numbers_used(core));
-    return true;
+    double *first = malloc(NUMBERS * sizeof(double));
+    int error = first ? make(call, core, size, first) : SAMPLED_NO_MEMORY;
+    if (!error) error = take_state(call, core, first);
+    free(first);
+    return error ? fail_in(call, core, error, ERROR, "start") : true;
 }
 
 static bool show(const Call *call) {

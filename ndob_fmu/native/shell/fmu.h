@@ -52,6 +52,7 @@ typedef struct {
     const uint32_t *parameters; /* their references */
     uint32_t parameter_count, text_count;
     size_t core_size, state_size;
+    bool sizes_state; /* `start` asks for the memory of the state, of at most `state_size` bytes, by state_memory.c */
     bool (*start)(const Call *call, double start_time); /* make the core from the parameters, and the first state */
     bool (*show)(const Call *call); /* the outputs at the start, for the inputs set so far */
     bool (*step)(const Call *call, double time, double step_size);
@@ -60,6 +61,10 @@ typedef struct {
 } Fmu;
 
 static const Fmu fmu;
+
+#ifdef SIZES_STATE
+static void *state_memory(Instance *self, size_t size);
+#endif
 
 /* Beside it the build writes `first_values`: the token, which is guid in FMI 2 and instantiationToken in FMI 3, and the
  * start values of all variables and of the String variables. A packed system has its own, which start_values.py writes

@@ -3,6 +3,7 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 /* A step begins where the last one ended, within this part of a step: hosts add up steps, or round them. */
@@ -24,7 +25,7 @@ static Places places(const char *name) {
     at.texts = at.outputs + aligned(fmu.output_count * sizeof(double));
     at.started_with_texts = at.texts + fmu.text_count * (size_t)TEXT_SIZE;
     at.state = at.started_with_texts + fmu.text_count * (size_t)TEXT_SIZE;
-    at.core = at.state + aligned(fmu.state_size);
+    at.core = at.state + (fmu.sizes_state ? 0 : aligned(fmu.state_size));
     at.name = at.core + aligned(fmu.core_size);
     at.end = at.name + strlen(name) + 1;
     return at;
@@ -57,7 +58,8 @@ Instance *instance_in(void *block, const char *name, Log log) {
     self->outputs = (double *)(void *)(begin + at.outputs);
     self->texts = (char(*)[TEXT_SIZE])(begin + at.texts);
     self->started_with_texts = (char(*)[TEXT_SIZE])(begin + at.started_with_texts);
-    self->state = begin + at.state;
+    self->state = fmu.sizes_state ? NULL : begin + at.state;
+    self->state_size = fmu.sizes_state ? 0 : fmu.state_size;
     self->core = begin + at.core;
     self->log.name = strcpy(begin + at.name, name);
     start_afresh(self);
@@ -69,6 +71,7 @@ Instance *instance_in(void *block, const char *name, Log log) {
 void instance_free(Instance *self) {
     states_free(self);
     if (fmu.end) fmu.end(self->core);
+    if (fmu.sizes_state) free(self->state);
     handle_free(INSTANCE_HANDLES, self->handle);
 }
 

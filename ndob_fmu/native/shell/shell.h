@@ -88,6 +88,7 @@ struct Instance {
     char (*started_with_texts)[TEXT_SIZE];
     double *outputs; /* of a step that may fail yet */
     void *state, *core;
+    size_t state_size; /* the bytes there are for the state */
 };
 
 /* The bytes of an instance of that name. */

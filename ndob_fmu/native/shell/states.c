@@ -29,8 +29,9 @@ static size_t contents_size(const Saved *saved) { return fixed_size() + saved->s
 static size_t written_size(const Saved *saved) { return sizeof(Head) + sizeof(Progress) + contents_size(saved); }
 
 /* A component has room for the most that its parameters can ask for; what they do not ask for is 0. */
-static size_t used_size(const void *state) {
-    size_t size = fmu.state_size;
+static size_t used_size(const Instance *self) {
+    const void *state = self->state;
+    size_t size = self->state_size;
     uint64_t word = 0;
     while (size >= sizeof word) {
         memcpy(&word, (const char *)state + size - sizeof word, sizeof word);
@@ -73,7 +74,7 @@ static void save(const Instance *self, Saved *saved) {
     if (!self->progress.made) return; /* what was made before a reset means nothing now */
     memcpy(to.started_with, self->started_with, parameters_size());
     memcpy(to.started_with_texts, self->started_with_texts, texts_size());
-    saved->state_size = used_size(self->state);
+    saved->state_size = used_size(self);
     memcpy(to.state, self->state, saved->state_size);
 }
 
@@ -90,7 +91,8 @@ static bool adopt(Instance *self, Saved *saved, bool check) {
     memcpy(self->texts, from.texts, texts_size());
     self->progress = saved->progress;
     if (!made) return true;
-    size_t before = used_size(self->state), now = saved->state_size;
+    size_t before = used_size(self), now = saved->state_size;
+    if (now > self->state_size) return false;
     memcpy(self->state, from.state, now);
     if (before > now) memset((char *)self->state + now, 0, before - now);
     Call call = call_of(self);
