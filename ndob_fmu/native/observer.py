@@ -100,7 +100,8 @@ def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list
 
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:
-    return [channel_size(eq), part("faults.c"), *_printed(model, lumped(eq), eq), part("estimate.c"), part("sampled.c")]
+    printed = _printed(model, lumped(eq), eq)
+    return [channel_size(eq), part("faults.c"), *printed, SHORT_CODE, part("estimate.c"), part("sampled.c"), AS_BEFORE]
 
 
 def observer_code(model: Model) -> ComponentCode:
@@ -222,7 +223,9 @@ def _printed(model: Model, eq: Equations, plant: Equations) -> list[str]:
         *texts,
         converged_step_thunk(gain, of_step),
         frozen_step_text(gain, of_step, m, p),
+        SHORT_CODE,
         continued_text(eq, calls),
         equations_text(eq, functions),
         equations_text(plant, of_plant or {name: f"call_{name}" for name in _OF_PLANT}, "set_plant"),
+        AS_BEFORE,
     ]
