@@ -85,8 +85,8 @@ static inline double remainder_of(double a, double b, int *fault) {
     return (rest < 0.0) != (b < 0.0) ? rest + b : rest;
 }
 
-static inline double least(double a, double b) { return b < a ? b : a; }
-static inline double most(double a, double b) { return b > a ? b : a; }
+static inline double least_of(double a, double b) { return b < a ? b : a; }
+static inline double most_of(double a, double b) { return b > a ? b : a; }
 static inline double sign_of(double a) { return a == 0.0 ? 0.0 : copysign(1.0, a); }
 """
 
@@ -211,10 +211,10 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
         return f"remainder_of({', '.join(map(self._print, expression.args))}, &_fault)"
 
     def _print_Min(self, expression: sympy.Min) -> str:
-        return self._folded("least", expression)
+        return self._folded("least_of", expression)
 
     def _print_Max(self, expression: sympy.Max) -> str:
-        return self._folded("most", expression)
+        return self._folded("most_of", expression)
 
     def _folded(self, function: str, expression: sympy.Expr) -> str:
         text, *rest = map(str, map(self._print, expression.args))
