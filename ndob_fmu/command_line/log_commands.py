@@ -1,26 +1,53 @@
-"""The commands that start from a recorded log: estimate."""
+"""The commands that start from a recorded log: estimate, fit."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ndob_fmu.command_line.options import MODEL_HELP, Commands, add_command, assignments, pairs
 
 if TYPE_CHECKING:
     from ndob_fmu.log.estimate_log import Estimated
+    from ndob_fmu.log.fit.fit_log import Fitted, Told
 
 
 def add_log_commands(commands: Commands) -> None:
-    """Add estimate."""
-    parser = add_command(
+    """Add estimate and fit."""
+    estimate = add_command(
         commands,
         "estimate",
         _estimate,
         "Run a model's observer over a recorded log: estimates with error bars, and what the residuals say.",
         slow=True,
     )
+    _add_log(estimate)
+    estimate.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of result.csv, summary.json and figures (default: results/LOG)"
+    )
+    fit = add_command(
+        commands,
+        "fit",
+        _fit,
+        "Find a model's noise, the class and pace of its disturbance, and named parameters in a recorded log.",
+        slow=True,
+    )
+    _add_log(fit)
+    fit.add_argument("--free", nargs="+", default=[], metavar="PARAMETER", help="parameters of the model to be fitted")
+    fit.add_argument(
+        "--hold",
+        type=float,
+        default=0.3,
+        metavar="SHARE",
+        help="share of the rows, the last ones, to judge by (default: %(default)s)",
+    )
+    fit.add_argument("--out", type=Path, metavar="DIR", help="folder of fit.json (default: results/LOG)")
+
+
+def _add_log(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of a command for a model and a log."""
     parser.add_argument("model", metavar="MODEL", help=MODEL_HELP)
     parser.add_argument("log", metavar="LOG", type=Path, help="CSV or Parquet file with time, inputs and outputs")
     parser.add_argument(
@@ -41,26 +68,60 @@ def add_log_commands(commands: Commands) -> None:
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="values of the observer's parameters"
     )
     parser.add_argument("--start-values-file", type=Path, metavar="FILE", help="JSON file of such values")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of result.csv, summary.json and figures (default: results/LOG)"
-    )
+
+
+def _told(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of a log that its commands share."""
+    from ndob_fmu.log.told_values import read_start_values
+
+    given = {} if options.start_values_file is None else read_start_values(options.start_values_file)
+    return {
+        "names": assignments("--map", options.map),
+        "units": assignments("--unit", options.unit),
+        "start_values": {**given, **pairs("--start-values", options.start_values)},
+    }
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from ndob_fmu.log.fit.fit_log import FIT, fit_log
+    from ndob_fmu.model.loading import load_model
+
+    out = options.out or Path("results", options.log.stem)
+    model = load_model(options.model)
+    fitted = fit_log(model, options.log, out, free=options.free, hold=options.hold, **_told(options))
+    print(_fit_text(fitted, model.units))
+    path = out / FIT
+    print(f"{path}: `ndob-fmu estimate {options.model} {options.log} --start-values-file {path}` uses it")
+    return 0
+
+
+def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
+    """Return what was found, and how sure it is."""
+
+    def each(told: Mapping[str, Told]) -> str:
+        return ", ".join(
+            f"{name} {one.value:.4g} ± {2.0 * one.std:.2g} {units.get(name, '')}".rstrip() for name, one in told.items()
+        )
+
+    kind = {1: "wanders", 2: "is smooth"}[found.order]
+    jumps = f" and jumps ({found.jumps} times in {found.rows} rows)" if found.is_jumping else ""
+    held = found.held_out_values
+    judged = ", ".join(f"order {order} {value:.4f}" for order, value in held.items() if value is not None)
+    lines = [
+        f"noise_std: {each(found.noise_std)}; {found.outliers} outliers",
+        f"the disturbance {kind}{jumps}: disturbance_order {found.order}; log-likelihood of a sample of the "
+        + (f"{found.held_out} held-out rows: {judged}" if judged else "rows; none was held out"),
+        f"parameters: {each(found.parameters) or 'none fitted'}",
+    ]
+    return "\n".join([*lines, *(f"warning: {line}" for line in found.warnings)])
 
 
 def _estimate(options: argparse.Namespace) -> int:
     from ndob_fmu.log.estimate_log import estimate_log
-    from ndob_fmu.log.told_values import read_start_values
     from ndob_fmu.model.loading import load_model
 
-    given = {} if options.start_values_file is None else read_start_values(options.start_values_file)
     out = options.out or Path("results", options.log.stem)
-    estimated = estimate_log(
-        load_model(options.model),
-        options.log,
-        out,
-        names=assignments("--map", options.map),
-        units=assignments("--unit", options.unit),
-        start_values={**given, **pairs("--start-values", options.start_values)},
-    )
+    estimated = estimate_log(load_model(options.model), options.log, out, **_told(options))
     print(_text(estimated))
     print(f"{out}: result.csv, summary.json and figures; `ndob-fmu report {out}` makes a page of them")
     return 0

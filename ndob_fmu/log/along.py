@@ -31,6 +31,10 @@ class Samples:
     outputs: Array
     noise_variance: Array
 
+    def first(self, K: int) -> Samples:
+        """Return the first K instants."""
+        return Samples(self.step[: K - 1], self.inputs[:K], self.outputs[:K], self.noise_variance[:K])
+
 
 @dataclass(frozen=True)
 class Start:

@@ -46,6 +46,14 @@ class Jumps:
         """Return J (N,·) of a jump at an instant, or in the step before it."""
         return np.asarray((self.in_step if in_step else self.at_sample)[k])
 
+    def some(self, rows: slice) -> Jumps:
+        """Return those of some instants."""
+        return Jumps(self.at_sample[rows], self.in_step[rows])
+
+    def at(self, jumps: Mapping[int, bool]) -> dict[int, Array]:
+        """Return J (N,·) of some jumps, by the number of their instant."""
+        return {k: self.of(k, in_step) for k, in_step in jumps.items()}
+
 
 @dataclass(frozen=True)
 class Events:
@@ -57,6 +65,13 @@ class Events:
 
     jumps: Mapping[int, bool] = field(default_factory=dict)
     outliers: frozenset[tuple[int, int]] = frozenset()
+
+    @property
+    def costs(self) -> float:
+        """Of all events, to be taken off the log-likelihood of a record that has them."""
+        in_step = sum(self.jumps.values())
+        at_sample = len(self.jumps) - in_step
+        return _AT_SAMPLE_COSTS * at_sample + _IN_STEP_COSTS * in_step + _OUTLIER_COSTS * len(self.outliers)
 
 
 @dataclass(frozen=True)
@@ -89,11 +104,16 @@ def explained(cut: CutRecord, columns: Jumps, spacing: int, first: int, known: E
 
 def with_events(cut: CutRecord, columns: Jumps, events: Events) -> Explained:
     """Return what the smoother finds in a record with some events."""
-    variance = cut.whole.variance.copy()
+    run, adjoint = cut.passes(with_outliers(cut.whole.variance, events), columns.at(events.jumps))
+    return Explained(cut.whole, events, run, adjoint)
+
+
+def with_outliers(variance: Array, events: Events) -> Array:
+    """Return the variances (K,p) of the samples, larger for outliers."""
+    variance = variance.copy()
     for k, i in events.outliers:
         variance[k, i] *= _OUTLIER**2
-    run, adjoint = cut.passes(variance, {k: columns.of(k, in_step) for k, in_step in events.jumps.items()})
-    return Explained(cut.whole, events, run, adjoint)
+    return variance
 
 
 def _better(found: Explained, columns: Jumps, spacing: int, first: int) -> Events:

@@ -68,6 +68,13 @@ def cut(K: int, overlap: int) -> Pieces:
     return Pieces(first, length, own)
 
 
+def side_by_side(K: int, least: int) -> Pieces:
+    """Return pieces of the first rows of K that do not overlap, of at least so many rows where there are enough."""
+    count = max(1, min(_MOST_PIECES, K // least))
+    own = np.arange(count + 1) * (K // count)
+    return Pieces(own[:-1], K // count, own)
+
+
 @dataclass(frozen=True)
 class CutRecord:
     """A record and its pieces: what `smoother.forward` and `smoother.backward` find in them, as of the whole record."""
@@ -101,14 +108,15 @@ def cut_record(record: LinearRecord, overlap: int, wide: Array) -> CutRecord:
     """
     K = len(record.rows)
     pieces = cut(K, overlap)
-    found = CutRecord(record, pieces, _parts(record, pieces, wide))
+    found = CutRecord(record, pieces, parts_of(record, pieces, wide))
     if len(pieces.first) > 1 and not _agree(pieces, forward(found.parts)):
         pieces = Pieces(np.zeros(1, dtype=np.intp), K, np.array([0, K]))
-        found = CutRecord(record, pieces, _parts(record, pieces, wide))
+        found = CutRecord(record, pieces, parts_of(record, pieces, wide))
     return found
 
 
-def _parts(record: LinearRecord, pieces: Pieces, wide: Array) -> LinearRecord:
+def parts_of(record: LinearRecord, pieces: Pieces, wide: Array) -> LinearRecord:
+    """Return the pieces of a record; all but the first one begin on the trajectory with standard deviations (N,)."""
     rows, steps = pieces.rows, pieces.rows[:-1]
     start, factor = np.zeros((len(pieces.first), len(wide))), np.tile(np.diag(wide), (len(pieces.first), 1, 1))
     start[0], factor[0] = record.start, record.start_factor

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.codegen.row_functions import RowFunction, RowFunctions
 from ndob_fmu.log.row_transition import row_transition
@@ -20,6 +22,7 @@ from ndob_fmu.runtime.step.time_update import predict_mean
 # it would take more parts, each row is predicted by itself, by a method for stiff equations.
 _SHORT = 0.25
 _MOST_PARTS = 16
+_NEAR = 1000
 # What is left of a step after the instants of jumps inside it, and their weights.
 _AFTER = np.array(AFTER_JUMPS.shares[1:])
 NODE_WEIGHTS = np.array([5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0])
@@ -85,10 +88,9 @@ class RowModel:
         found = RowSteps(
             np.empty((K, N)), np.empty((K, N, N)), np.empty((K, c, N, N)), np.empty((K, len(_AFTER), N, q))
         )
-        for count in sorted({*parts.tolist()}):
-            rows = np.flatnonzero(parts == count)
+        for count, rows in _groups(parts):
             stiff = bool(np.max(size[rows]) > count * _SHORT)
-            part = self._steps_in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, int(count), stiff=stiff)
+            part = self._steps_in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, stiff=stiff)
             found.end[rows], found.Phi[rows] = part.end, part.Phi
             found.noise[rows], found.jumps[rows] = part.noise, part.jumps
         return found
@@ -181,6 +183,14 @@ class RowModel:
             for names in (eq.states, eq.inputs)
         )
         return of_x, of_u
+
+
+def _groups(parts: NDArray[np.int_]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield a number of parts and rows that have it, as many as the processor keeps near itself."""
+    for count in np.unique(parts).tolist():
+        rows = np.flatnonzero(parts == count)
+        for first in range(0, len(rows), _NEAR):
+            yield count, rows[first : first + _NEAR]
 
 
 def _left_the_numbers() -> IntegrationError:

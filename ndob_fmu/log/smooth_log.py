@@ -58,6 +58,11 @@ def start_samples(observer: SampledObserver) -> int:
     return filter_model(observer, 1.0, 0.0).start_samples
 
 
+def forgotten_rows(tuned: Tuned) -> int:
+    """Return after how many rows a filter has forgotten its start."""
+    return max(_LEAST_OVERLAP, round(_FORGOTTEN * tuned.model.jump_spacing / tuned.H))
+
+
 def smooth(
     observer: SampledObserver, functions: RowFunctions, x_hat: Vector, stretches: Iterator[Stretch]
 ) -> Iterator[tuple[Stretch, SmoothedStretch]]:
@@ -96,12 +101,11 @@ def _explained(tuned: Tuned, equations: RowModel, part: Stretch, start: Start, s
     samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, _noise_variance(model, said.noise_ratio))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = max(_LEAST_SPACING, round(2.0 * model.jump_spacing / tuned.H))
-    forgotten = max(_LEAST_OVERLAP, round(_FORGOTTEN * model.jump_spacing / tuned.H))
     as_told = [1.0] * samples.outputs.shape[1]
     trajectory = np.array([model.layout.unpacked(row) for row in said.predicted])
     for _ in range(1 if model.is_linear else _LINEARISATIONS):
         record, columns = record_along(equations, samples, trajectory, lambda H: tuned.intensity(H, as_told), start)
-        cut = cut_record(record, forgotten, model.start_std)
+        cut = cut_record(record, forgotten_rows(tuned), model.start_std)
         found = explained(cut, columns, spacing, started, events)
         about, events = trajectory, found.events
         trajectory = about + smoothed(found.forward, found.adjoint).xi

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,21 @@ class LinearRecord:
     variance: Array
     start: Array
     start_factor: Array
+
+    def some(self, rows: slice, start: Array, start_factor: Array) -> LinearRecord:
+        """Return the record of some of its instants, with another start."""
+        first, stop, _ = rows.indices(len(self.rows))
+        steps = slice(first, max(stop - 1, first))
+        return LinearRecord(
+            Phi=self.Phi[steps],
+            noise=self.noise[steps],
+            shift=self.shift[steps],
+            rows=self.rows[rows],
+            misfit=self.misfit[rows],
+            variance=self.variance[rows],
+            start=start,
+            start_factor=start_factor,
+        )
 
 
 @dataclass(frozen=True)
@@ -169,4 +185,10 @@ def lower_factor(rows: Array) -> Array:
     m, columns = rows.shape[-2:]
     if columns < m:
         rows = np.concatenate([rows, np.zeros((*rows.shape[:-1], m - columns))], axis=-1)
-    return np.asarray(np.swapaxes(np.linalg.qr(np.swapaxes(rows, -1, -2), mode="r"), -1, -2))
+    reflected = np.linalg.qr(np.swapaxes(rows, -1, -2), mode="raw")[0]
+    return np.where(_lower(m), reflected[..., :m], 0.0)
+
+
+@lru_cache(maxsize=16)
+def _lower(m: int) -> NDArray[np.bool_]:
+    return np.tri(m, dtype=bool)

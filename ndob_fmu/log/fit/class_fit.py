@@ -1,0 +1,196 @@
+"""One class of disturbances fitted to a log: the noise, the pace, the jumps, and the parameters of the plant.
+
+In turn, the equations are linearised along the smoothed estimate, noise, pace and events are found (`noise_fit`), and
+the parameters take a step (`parameter_step`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ndob_fmu.log.events import Events, Explained, explained, with_events
+from ndob_fmu.log.fit.likelihood import likelihood
+from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise
+from ndob_fmu.log.fit.problem import Linearised, Problem
+from ndob_fmu.log.pieces import CutRecord, cut, parts_of
+from ndob_fmu.log.smoother import smoothed
+from ndob_fmu.runtime.arrays import Array
+
+_MOST_ROUNDS = 8
+# A round that changes the logarithms of noise and pace by less, and each parameter by less than this part of its
+# standard deviation, is the last one.
+_SAME, _SAME_PARAMETERS = 0.02, 0.1
+# A step of a parameter, at most, in its prior standard deviations.
+_LONGEST_STEP = 0.5
+# Error bars that hold what wanders between jumps, about.
+_HOLDS, _MOST_RAISES = 0.95, 8
+# By what power of a factor on the intensity the variance of d̂ grows, about.
+_POWER = 0.75
+
+# What wanders by more than this part of a jump is jumps that were too small to be found. A jump is seen in full so many
+# rows beside it.
+_SMALL, _BESIDE = 0.25, 2
+# A normal number is as often within the median of its size as beyond it, and that is its standard deviation over this.
+_STD_OF_MEDIAN = 1.4826
+
+ParameterStep = Callable[[Problem, Array, Array, NoiseFit], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class ClassFit:
+    """What was found.
+
+    noise: the noise of the samples, the pace and the events of the rows that were fitted
+    parameters (n_θ,), covariance (n_θ,n_θ): θ
+    trajectory (K,N): smoothed ξ of all rows
+    held_out: log-likelihood of the held-out samples, less the costs of events
+    held_samples: how many there are
+    raised (q2,): the factor on the intensity with which the error bars hold
+    """
+
+    problem: Problem
+    noise: NoiseFit
+    parameters: Array
+    covariance: Array
+    trajectory: Array
+    held_out: float
+    held_samples: int
+    raised: Array
+
+    @property
+    def order(self) -> int:
+        """Of the disturbance."""
+        return self.problem.layout.order
+
+    @property
+    def judged(self) -> float:
+        """The log-likelihood of what was held out, or of all where nothing was."""
+        return self.held_out if self.held_samples else self.noise.value
+
+    @property
+    def disturbance(self) -> Array:
+        """The smoothed disturbances (K,q2), without the start."""
+        return _disturbance(self.problem, self.trajectory)
+
+    @property
+    def disturbance_rms(self) -> float:
+        """Of the smoothed disturbances."""
+        return _rms(self.problem, self.trajectory)
+
+    @property
+    def pace(self) -> tuple[Array, Array]:
+        """The intensities (q2,) of what drives the disturbances, with their standard deviations."""
+        q = len(self.noise.log_intensity)
+        found = self.problem.intensity * np.exp(self.noise.log_intensity)
+        return found, found * np.sqrt(np.diag(self.noise.covariance)[-q:])
+
+
+def fit_class(problem: Problem, trajectory: Array, step_of: ParameterStep) -> ClassFit:
+    """Fit a class, from an estimate ξ (K,N) of all rows; step_of: the step of the parameters.
+
+    Raises IntegrationError where the equations cannot be followed.
+    """
+    theta, prior, before = problem.told, problem.parameter_std, None
+    train = slice(problem.trained)
+    for _ in range(_MOST_ROUNDS):
+        about = problem.about(trajectory, theta)
+        noise = fit_noise(*about.pieces(train), problem.layout, before)
+        found = _explained(about, noise)
+        trajectory = trajectory + smoothed(found.forward, found.adjoint).xi
+        step, covariance = np.zeros(0), np.zeros((0, 0))
+        if len(prior):
+            wanted, covariance = step_of(problem, trajectory, theta, noise)
+            step = np.clip(wanted, -_LONGEST_STEP * prior, _LONGEST_STEP * prior)
+        if before is not None and _same(before, noise, step, np.sqrt(np.diag(covariance))):
+            break
+        theta, before = theta + step, noise
+    held, search = about.pieces(slice(problem.trained, None))
+    samples = int(np.isfinite(held.whole.misfit).sum())
+    told = noise.cut(held, problem.layout)
+    events = search.within(told, Events())
+    return ClassFit(
+        problem=problem,
+        noise=noise,
+        parameters=theta,
+        covariance=covariance,
+        trajectory=trajectory,
+        held_out=likelihood(told, problem.layout, search.columns, events).value - events.costs,
+        held_samples=samples,
+        raised=_raised(about, noise),
+    )
+
+
+def _explained(known: Linearised, noise: NoiseFit) -> Explained:
+    """Return all rows with their events; the seams of pieces are as good as a trajectory to linearise about needs."""
+    search = known.search(slice(None))
+    return explained(_cut(known, noise), search.columns, search.spacing, search.first, noise.events)
+
+
+def _cut(known: Linearised, noise: NoiseFit) -> CutRecord:
+    problem = known.problem
+    record, pieces = noise.applied(known.record, problem.layout), cut(len(known.trajectory), problem.overlap)
+    return CutRecord(record, pieces, parts_of(record, pieces, problem.wide))
+
+
+def _raised(known: Linearised, noise: NoiseFit) -> Array:
+    """Return the factors on the intensities (q2,) with which the error bars hold what wanders between jumps.
+
+    A disturbance that jumps stays where it is in between. What wanders there is what the model lacks, as a friction
+    that changes along the way. Samples tell it well, but it is an error of the disturbance from outside, beside that of
+    the estimate.
+    """
+    problem, places = known.problem, known.problem.layout.disturbance
+    factors = np.ones(len(noise.log_intensity))
+    if not noise.is_jumping:
+        return factors
+    needed = np.zeros(len(factors))
+    for turn in range(_MOST_RAISES):
+        told = replace(noise, log_intensity=noise.log_intensity + np.log(factors))
+        found = with_events(_cut(known, told), known.columns, noise.events)
+        if turn == 0:
+            smooth = known.trajectory[:, places] + smoothed(found.forward, found.adjoint).xi[:, places]
+            jumps = sorted(found.events.jumps)
+            wanders = np.minimum(
+                _wanders(smooth, problem.rows.model.start_samples, jumps), _SMALL * _jump_sizes(smooth, jumps)
+            )
+        std = np.median(np.linalg.norm(found.forward.factor[:, places], axis=2), axis=0)
+        if turn == 0:
+            needed = np.hypot(wanders, std)
+        if np.all(std >= _HOLDS * needed):
+            break
+        factors = np.maximum(factors * (needed / std) ** (2.0 / _POWER), factors)
+    return factors
+
+
+def _jump_sizes(disturbance: Array, jumps: Sequence[int]) -> Array:
+    """Return the median size (q2,) of jumps of smoothed disturbances (K,q2)."""
+    after, before = (np.clip(np.array(jumps) + side * _BESIDE, 0, len(disturbance) - 1) for side in (1, -1))
+    return np.asarray(np.median(np.abs(disturbance[after] - disturbance[before]), axis=0))
+
+
+def _wanders(disturbance: Array, first: int, jumps: Sequence[int]) -> Array:
+    """Return the standard deviation (q2,) of disturbances (K,q2) about their means between jumps, by the median.
+
+    A jump that is too small to be found would count in a root mean square.
+    """
+    parts = np.split(disturbance[first:], [k - first for k in jumps if k > first])
+    about_means = np.concatenate([part - part.mean(axis=0) for part in parts if len(part)])
+    return np.asarray(_STD_OF_MEDIAN * np.median(np.abs(about_means), axis=0))
+
+
+def _disturbance(problem: Problem, trajectory: Array) -> Array:
+    return trajectory[problem.rows.model.start_samples :, problem.layout.disturbance]
+
+
+def _rms(problem: Problem, trajectory: Array) -> float:
+    """Return the root mean square of disturbances (K,q2), each over its bound, in the unit of the first one."""
+    bound = problem.rows.model.bound
+    return float(np.sqrt(np.mean((_disturbance(problem, trajectory) / bound) ** 2)) * bound[0])
+
+
+def _same(before: NoiseFit, after: NoiseFit, step: Array, std: Array) -> bool:
+    moved = [after.log_variance - before.log_variance, after.log_intensity - before.log_intensity]
+    return bool(np.all(np.abs(np.concatenate(moved)) < _SAME) and np.all(np.abs(step) < _SAME_PARAMETERS * std))

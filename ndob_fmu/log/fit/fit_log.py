@@ -1,0 +1,226 @@
+"""A log to start values of the observer: noise of each output, class and pace of the disturbance, named parameters."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
+from ndob_fmu.log.fit.pace import rates_for
+from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
+from ndob_fmu.log.fit.setup import Run, Setup
+from ndob_fmu.log.told_values import told_values
+from ndob_fmu.model.model import Model
+from ndob_fmu.support.files import atomic_folder
+from ndob_fmu.support.progress import begin
+
+FIT, SUMMARY = "fit.json", "fit_summary.json"
+_ORDERS = (1, 2)
+# What a log shows of a disturbance may not be its largest; a bound below this multiple of it is raised.
+_BEYOND, _FAR_BEYOND = 1.2, 2.0
+# A parameter whose standard deviation the log does not lower by this factor is not told by it.
+_NOT_TOLD = 0.5
+# Fitted parameters that leave a disturbance larger by this factor stand for something else that the model lacks.
+_LARGER = 1.2
+# A gain of the held-out log-likelihood that is worth another order.
+_SURE = 2.0
+
+
+@dataclass(frozen=True)
+class Told:
+    """A number that a log tells, and its standard deviation in the same unit."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What was found in a log.
+
+    rows, held_out: fitted rows, and rows that were held out
+    order: of the disturbance; with 1 it wanders, with 2 it is smooth
+    is_jumping: whether a disturbance that jumps explains the log better than one that does not
+    jumps, outliers: in the fitted rows
+    noise_std: of each output
+    intensity: of the white noise behind the order-th derivative of each disturbance
+    parameters: those that were fitted and that the log tells
+    held_out_values: log-likelihood of a held-out sample for each order; None where no row is held out
+    warnings: what the log does not tell
+    start_values: for fit.json
+    """
+
+    rows: int
+    held_out: int
+    order: int
+    is_jumping: bool
+    jumps: int
+    outliers: int
+    noise_std: Mapping[str, Told]
+    intensity: Mapping[str, Told]
+    parameters: Mapping[str, Told]
+    held_out_values: Mapping[int, float | None]
+    warnings: tuple[str, ...]
+    start_values: Mapping[str, Any]
+
+
+def fit_log(
+    model: Model,
+    path: str | Path,
+    folder: str | Path,
+    *,
+    free: Sequence[str] = (),
+    hold: float = 0.3,
+    names: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    start_values: Mapping[str, Any] | None = None,
+) -> Fitted:
+    """Fit noise, class and pace of the disturbance and free parameters of a model to a log; write fit.json.
+
+    free: parameters of the model to be fitted
+    hold: share of the rows, the last ones, that is held out to judge by
+    names, units, start_values: as of `estimate_log`
+
+    Raises UsageError for a log or values that cannot be used, DesignError and AssumptionError where the observer cannot
+    be designed, IntegrationError where its estimate leaves the finite numbers.
+    """
+    eq = compile_model(model)
+    values = told_values(eq, start_values or {})
+    given = {name: values[name] for name in start_values or {}}
+    setup = Setup(model, eq, values, tuple(free), hold)
+    setup.check()
+    run = setup.online(path, names, units)
+    begin("fitting noise, disturbance and parameters")
+    fitted = _fitted(setup, run, given)
+    with atomic_folder(folder) as new:
+        (new / FIT).write_text(json.dumps(fitted.start_values, indent=2) + "\n", "utf-8")
+        (new / SUMMARY).write_text(json.dumps(asdict(fitted), indent=2) + "\n", "utf-8")
+    return fitted
+
+
+def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
+    warnings: list[str] = []
+    fits = _of_each_order(replace(setup, free=()), run)
+    best = _best(fits)
+    raised = _raised_bounds(setup, best)
+    if any(value > _FAR_BEYOND * setup.values[name] for name, value in raised.items()):
+        # Jumps were searched for with a wrong size.
+        setup = setup.with_values(raised)
+        fits = _of_each_order(replace(setup, free=()), run)
+        best = _best(fits)
+        raised |= _raised_bounds(setup, best)
+    setup = setup.with_values(raised)
+    if setup.free:
+        setup, best = _with_parameters(setup, run, best, warnings)
+    warnings += [f"{name} is raised to {value:.3g}, because the log shows more" for name, value in raised.items()]
+    std = np.sqrt(np.diag(best.covariance))
+    parameters = {
+        name: Told(float(value), float(own)) for name, value, own in zip(setup.free, best.parameters, std, strict=True)
+    }
+    noise_std = _noise_std(setup, best)
+    found = {
+        **given,
+        **raised,
+        **{f"{name}_noise_std": told.value for name, told in noise_std.items()},
+        "disturbance_order": best.order,
+        **{
+            key: number
+            for name, told in parameters.items()
+            for key, number in ((name, told.value), (f"{name}_std", told.std))
+        },
+    }
+    pace, pace_std = best.pace
+    pace, pace_std = pace * best.raised, pace_std * best.raised
+    rates = rates_for(
+        pace,
+        lambda rates: setup.tuned_intensity({**found, **setup.named("disturbance_rate", rates)}, run.stretch.usual),
+        setup.of_disturbances("disturbance_rate"),
+    )
+    return Fitted(
+        rows=best.problem.trained,
+        held_out=run.rows - best.problem.trained,
+        order=best.order,
+        is_jumping=best.noise.is_jumping,
+        jumps=len(best.noise.events.jumps),
+        outliers=len(best.noise.events.outliers),
+        noise_std=noise_std,
+        intensity={
+            name: Told(float(value), float(std))
+            for name, value, std in zip(setup.equations.disturbances, pace, pace_std, strict=True)
+        },
+        parameters=parameters,
+        held_out_values={
+            order: fit.held_out / fit.held_samples if fit.held_samples else None for order, fit in fits.items()
+        },
+        warnings=tuple(warnings),
+        start_values={**found, **setup.named("disturbance_rate", rates)},
+    )
+
+
+def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:
+    problems = {order: setup.problem(run, order) for order in _ORDERS}
+    return {
+        order: fit_class(problem, setup.trajectory(run, problem), most_likely) for order, problem in problems.items()
+    }
+
+
+def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str]) -> tuple[Setup, ClassFit]:
+    """Return the fit of the parameters that the log tells, in the class that was found, and the setup with these."""
+    fit = known
+    while setup.free:
+        problem = setup.problem(run, known.order)
+        fit = fit_class(problem, known.trajectory, most_likely)
+        if fit.disturbance_rms > _LARGER * known.disturbance_rms:
+            fit_of_least = fit_class(problem, known.trajectory, least_disturbance)
+            warnings.append(
+                f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
+                f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
+                "leave least are taken"
+            )
+            fit = fit_of_least
+        std = np.sqrt(np.diag(fit.covariance))
+        told = [own <= _NOT_TOLD * prior for own, prior in zip(std, problem.parameter_std, strict=True)]
+        warnings += [
+            f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told"
+            for name, one in zip(setup.free, told, strict=True)
+            if not one
+        ]
+        if all(told):
+            return setup, fit
+        setup = replace(setup, free=tuple(name for name, one in zip(setup.free, told, strict=True) if one))
+    return setup, known
+
+
+def _best(fits: Mapping[int, ClassFit]) -> ClassFit:
+    """Return the class that explains the held-out rows best; the lower order where chance may decide."""
+    ranked = sorted(fits)
+    best = fits[ranked[0]]
+    for order in ranked[1:]:
+        if fits[order].judged > best.judged + _SURE:
+            best = fits[order]
+    return best
+
+
+def _raised_bounds(setup: Setup, best: ClassFit) -> dict[str, float]:
+    """Return larger values of disturbance_bound where the log shows a larger disturbance."""
+    bound, nominal = setup.of_disturbances("disturbance_bound"), setup.of_disturbances("disturbance_nominal")
+    seen = _BEYOND * np.max(np.abs(best.disturbance - nominal), axis=0)
+    raised = setup.named("disturbance_bound", np.maximum(bound, seen))
+    return {name: value for (name, value), higher in zip(raised.items(), seen > bound, strict=True) if higher}
+
+
+def _noise_std(setup: Setup, best: ClassFit) -> dict[str, Told]:
+    told = np.sqrt(best.problem.rows.model.noise_variance)
+    p = len(told)
+    log_std = 0.5 * np.sqrt(np.diag(best.noise.covariance)[:p])
+    found = told * np.exp(0.5 * best.noise.log_variance)
+    return {
+        name: Told(float(value), float(value * own))
+        for name, value, own in zip(setup.equations.outputs, found, log_std, strict=True)
+    }

@@ -1,0 +1,91 @@
+"""What a class of disturbances is fitted to: a log and equations, linear about a trajectory, in pieces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ndob_fmu.log.along import Samples, Start, record_along
+from ndob_fmu.log.events import Jumps
+from ndob_fmu.log.fit.noise_fit import EventSearch
+from ndob_fmu.log.pieces import CutRecord, parts_of, side_by_side
+from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.smoother import LinearRecord
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.step.layout import Layout
+
+# Rows of a piece, at least: what a piece begins with is forgotten in a small part of them.
+_PIECE = 150
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A log, and the equations of an observer with an order of the disturbance.
+
+    rows: the equations, at the parameters that are told
+    samples: of all rows, with the variances that were told
+    intensity (q2,): of the noise behind the r-th derivative of d, to begin with
+    free: indices of the parameters θ that are fitted; parameter_std (n_θ,): their prior standard deviations
+    trained: how many rows are fitted; the others are held out
+    spacing, overlap: between two events, and of pieces, in rows
+    """
+
+    rows: RowModel
+    samples: Samples
+    intensity: Array
+    free: tuple[int, ...]
+    parameter_std: Array
+    trained: int
+    spacing: int
+    overlap: int
+
+    @property
+    def layout(self) -> Layout:
+        """Of ξ."""
+        return self.rows.model.layout
+
+    @property
+    def wide(self) -> Array:
+        """Standard deviations (N,) at the start of a piece."""
+        return self.rows.model.start_std
+
+    @property
+    def told(self) -> Array:
+        """θ (n_θ,) as told."""
+        return np.array([self.rows.model.parameters[i] for i in self.free])
+
+    def about(self, trajectory: Array, theta: Array) -> Linearised:
+        """Return the first rows of the log about a trajectory (K,N), with the parameters θ (n_θ,).
+
+        Raises IntegrationError where the equations cannot be followed.
+        """
+        parameters = list(self.rows.model.parameters)
+        for index, value in zip(self.free, theta.tolist(), strict=True):
+            parameters[index] = value
+        rows = RowModel(replace(self.rows.model, parameters=tuple(parameters)), self.rows.functions)
+        K, start = len(trajectory), Start(trajectory[0], np.diag(self.wide))
+        record, columns = record_along(rows, self.samples.first(K), trajectory, lambda H: self.intensity, start)
+        return Linearised(self, trajectory, record, columns)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A log about a trajectory ξ (K,N), and the columns of jumps at each row."""
+
+    problem: Problem
+    trajectory: Array
+    record: LinearRecord
+    columns: Jumps
+
+    def pieces(self, rows: slice) -> tuple[CutRecord, EventSearch]:
+        """Return some rows as pieces side by side, and where events may be in them."""
+        first, stop, _ = rows.indices(len(self.trajectory))
+        pieces, wide = side_by_side(stop - first, _PIECE), self.problem.wide
+        kept = slice(first, first + int(pieces.own[-1]))
+        some = self.record.some(kept, np.zeros(len(wide)), np.diag(wide))
+        return CutRecord(some, pieces, parts_of(some, pieces, wide)), self.search(kept)
+
+    def search(self, rows: slice) -> EventSearch:
+        """Return where events may be in some rows."""
+        return EventSearch(self.columns.some(rows), self.problem.spacing, self.problem.rows.model.start_samples)

@@ -1,0 +1,172 @@
+"""From start values and a log to what a class of disturbances is fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ndob_fmu.codegen.row_functions import row_functions
+from ndob_fmu.errors import UsageError, nearest, one_of
+from ndob_fmu.interface.model_variables import for_each_disturbance
+from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
+from ndob_fmu.log.along import Samples
+from ndob_fmu.log.fit.problem import Problem
+from ndob_fmu.log.log_columns import Signals
+from ndob_fmu.log.online import Stretch, along
+from ndob_fmu.log.read_log import read_log
+from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.smooth_log import forgotten_rows
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+
+# Rows that the fit needs, and rows within which there is one new event.
+_LEAST_ROWS = 500
+_SPACING = 3
+# Prior standard deviation of a parameter that has none, over its size.
+_OPEN = 0.5
+
+
+@dataclass(frozen=True)
+class Run:
+    """A log and the observer along it.
+
+    stretch: rows of the log, and what the observer said there
+    observer: that said it
+    """
+
+    stretch: Stretch
+    observer: SampledObserver
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(self.stretch.log.time)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is told before a fit.
+
+    values: of all parameters of the observer
+    free: parameters of the model that are fitted
+    hold: share of the rows, the last ones, that is held out
+    """
+
+    model: Model
+    equations: Equations
+    values: Mapping[str, Any]
+    free: tuple[str, ...]
+    hold: float
+
+    def check(self) -> None:
+        """Raise UsageError for what cannot be fitted."""
+        eq = self.equations
+        for name in self.free:
+            if name not in eq.parameters:
+                raise UsageError.report(
+                    "--free",
+                    expected=one_of("parameter", eq.parameters, name),
+                    received=repr(name),
+                    likely=nearest(name, eq.parameters),
+                )
+        if not 0.0 <= self.hold <= 0.9:
+            raise UsageError.report("--hold", expected="a share of the rows from 0 to 0.9", received=f"{self.hold:g}")
+        late = [name for name in eq.outputs if self.values[f"{name}_delay"] > 0.0]
+        if late or eq.channel is not None:
+            raise UsageError.report(
+                "fit",
+                expected="a plant without a channel and outputs without a delay",
+                received=f"{late[0]}_delay" if late else "a channel",
+                likely="move the column in the log by its delay" if late else "",
+            )
+
+    def online(self, path: str | Path, names: Mapping[str, str] | None, units: Mapping[str, str] | None) -> Run:
+        """Run the observer along the first block of a log."""
+        eq = self.equations
+        order = max(1, self.values["disturbance_order"])
+        observer = self._observer({**self.values, "disturbance_order": order, "lag": 0.0})
+        block = next(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
+        if len(block.time) < _LEAST_ROWS:
+            raise UsageError.report(
+                str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(len(block.time))
+            )
+        x_hat = values_of(self.values.__getitem__, eq.states, "_hat_start")
+        return Run(next(along(observer, x_hat, iter([block]))), observer)
+
+    def problem(self, run: Run, order: int) -> Problem:
+        """Return what a class of disturbances of an order is fitted to."""
+        observer = self._observer({**self.values, **self._pace(order), "lag": 0.0})
+        usual, log = run.stretch.usual, run.stretch.log
+        tuned = observer.tuned(usual)
+        told = np.broadcast_to(tuned.model.noise_variance, log.outputs.shape)
+        names = list(self.equations.parameters)
+        free = tuple(map(names.index, self.free))
+        prior = [self._prior(name, tuned.model.parameters[i]) for name, i in zip(self.free, free, strict=True)]
+        return Problem(
+            rows=RowModel(tuned.model, row_functions(self.model)),
+            samples=Samples(run.stretch.step[:-1], log.inputs, log.outputs, told),
+            intensity=tuned.intensity(usual, [1.0] * log.outputs.shape[1]),
+            free=free,
+            parameter_std=np.array(prior),
+            trained=run.rows - round(self.hold * run.rows),
+            spacing=_SPACING,
+            overlap=forgotten_rows(tuned),
+        )
+
+    def trajectory(self, run: Run, problem: Problem) -> Array:
+        """Return ξ (K,N) along a log by the observer's estimate."""
+        layout, online = problem.rows.model.layout, run.observer.layout
+        said = np.array([online.unpacked(row) for row in run.stretch.online.predicted])
+        xi = np.zeros((run.rows, layout.size))
+        xi[:, : layout.n] = said[:, : layout.n]
+        shared = min(layout.order, online.order) * layout.q
+        xi[:, layout.n : layout.n + shared] = said[:, online.n : online.n + shared]
+        xi[:, layout.biases] = said[:, online.biases]
+        return xi
+
+    def tuned_intensity(self, changes: Mapping[str, Any], H: float) -> Array:
+        """Return the intensity (q2,) for which an observer with changed values tunes itself at a step H (s)."""
+        observer = self._observer({**self.values, **changes})
+        return observer.tuned(H).intensity(H, [1.0] * len(self.equations.outputs))
+
+    def named(self, name: str, of_disturbances: Array) -> dict[str, float]:
+        """Return the observer's parameters `name` of each disturbance with their values (q2,)."""
+        names = for_each_disturbance(name, self.equations.disturbances).values()
+        return dict(zip(names, map(float, of_disturbances), strict=True))
+
+    def of_disturbances(self, name: str) -> Array:
+        """Return the parameter `name` of each disturbance (q2,)."""
+        return np.array(for_disturbances(self.equations, self.values.__getitem__, name), dtype=float)
+
+    def with_values(self, changes: Mapping[str, Any]) -> Setup:
+        """Return the same with other values."""
+        return replace(self, values={**self.values, **changes})
+
+    def _pace(self, order: int) -> dict[str, Any]:
+        """Return the order, and rates that are as fast as those that were told for another one."""
+        told = max(1, self.values["disturbance_order"])
+        bound, rate = self.of_disturbances("disturbance_bound"), self.of_disturbances("disturbance_rate")
+        return {
+            "disturbance_order": order,
+            **self.named("disturbance_rate", bound * (rate / bound) ** (order / told)),
+        }
+
+    def _observer(self, values: Mapping[str, Any]) -> SampledObserver:
+        """Return the observer for values, with no uncertain parameters."""
+        eq = self.equations
+        known = {f"{name}_std": 0.0 for name in eq.parameters}
+        return told_observer(eq, {**values, **known}.__getitem__, _ignore)
+
+    def _prior(self, name: str, value: float) -> float:
+        told = float(self.values[f"{name}_std"])
+        return told or _OPEN * abs(value) or 1.0
+
+
+def _ignore(line: str) -> None:
+    """Take a warning that `estimate` gives too."""

@@ -1,0 +1,120 @@
+"""`ndob-fmu fit`: noise, class and pace of the disturbance, and parameters, from logs with a known truth."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ndob_fmu.cli import main
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.errors import UsageError
+from ndob_fmu.interface.told_observer import told_observer
+from ndob_fmu.log.events import Events
+from ndob_fmu.log.fit.fit_log import fit_log
+from ndob_fmu.log.fit.likelihood import likelihood
+from ndob_fmu.log.fit.noise_fit import _scaled
+from ndob_fmu.log.fit.setup import Setup
+from ndob_fmu.log.told_values import told_values
+from tests.log.made_logs import made_log
+from tests.log.test_estimate_log import CART
+
+EQUATIONS = compile_model(CART)
+# Half of the true noise of the places, and more than that of the rates.
+WRONG = {"place_noise_std": 1e-3, "rate_noise_std": 5e-2}
+NOISE = {"place": 2e-3, "rate": 3e-2}
+
+
+def setup(free=(), **values):
+    return Setup(CART, EQUATIONS, told_values(EQUATIONS, {**WRONG, **values}), free, 0.3)
+
+
+def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
+    made_log(tmp_path / "log.csv", "steps", 3, rows=700)
+    told = setup()
+    run = told.online(tmp_path / "log.csv", None, None)
+    problem = told.problem(run, 2)
+    record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
+    events = Events({200: True, 350: False}, frozenset({(120, 1), (201, 0)}))
+
+    def at(logs):
+        return likelihood(_scaled(record, problem.layout, logs), problem.layout, search.columns, events)
+
+    centre, step = np.array([0.4, -0.3, 1.0]), 1e-4
+    for i, slope in enumerate(at(centre).slopes):
+        up, down = (at(centre + sign * step * np.eye(3)[i]).value for sign in (1.0, -1.0))
+        assert (up - down) / (2.0 * step) == pytest.approx(slope, rel=1e-5)
+
+
+@pytest.fixture(scope="module", params=["sine", "steps", "walk"])
+def fitted(request, tmp_path_factory):
+    """A class of disturbances, the folder of its log, and what was found there."""
+    folder = tmp_path_factory.mktemp(request.param)
+    made_log(folder / "log.csv", request.param, 11)
+    return request.param, folder, fit_log(CART, folder / "log.csv", folder, free=["mass"], start_values=WRONG)
+
+
+def test_the_noise_of_each_output_is_found(fitted):
+    for name, true in NOISE.items():
+        found = fitted[2].noise_std[name]
+        assert found.value == pytest.approx(true, rel=0.05)
+        assert abs(found.value - true) < 3.0 * found.std < 0.15 * true
+
+
+def test_the_class_of_the_disturbance_is_found(fitted):
+    kind, _, found = fitted
+    assert found.is_jumping == (kind == "steps")
+    assert found.order == (2 if kind == "sine" else 1)
+
+
+def test_a_parameter_is_found_within_its_error_bar(fitted):
+    mass = fitted[2].parameters["mass"]
+    assert abs(mass.value - 2.0) < 2.0 * mass.std < 0.2
+
+
+def test_the_observer_tunes_itself_to_the_pace_that_was_found(fitted):
+    _, folder, found = fitted
+    values = told_values(EQUATIONS, json.loads((folder / "fit.json").read_text()))
+    observer = told_observer(EQUATIONS, values.__getitem__, print)
+    assert observer.tuned(0.01).intensity(0.01, [1.0, 1.0])[0] == pytest.approx(found.intensity["wind"].value, rel=0.06)
+
+
+def test_estimate_takes_what_was_found_and_has_no_verdict_on_the_noise(fitted, capsys):
+    _, folder, _ = fitted
+    log, values = str(folder / "log.csv"), str(folder / "fit.json")
+    model = folder / "cart.py"
+    model.write_text("from tests.log.test_estimate_log import CART as model\n")
+    assert main(["estimate", str(model), log, "--start-values-file", values, "--out", str(folder / "out")]) == 0
+    assert "noise_std of" not in capsys.readouterr().out
+
+
+def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys):
+    made_log(tmp_path / "log.csv", "walk", 4, rows=900)
+    model = tmp_path / "cart.py"
+    model.write_text("from tests.log.test_estimate_log import CART as model\n")
+    arguments = [str(model), str(tmp_path / "log.csv"), "--start-values", "lag", "0.1", "--out", str(tmp_path / "out")]
+    assert main(["fit", *arguments]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("noise_std: place 0.00")
+    assert "±" in lines[0]
+    assert "disturbance wanders: disturbance_order 1" in lines[1]
+    assert lines[2] == "parameters: none fitted"
+    found = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert found["lag"] == 0.1
+    assert set(found) > {"place_noise_std", "rate_noise_std", "disturbance_order", "disturbance_rate"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"free": ["mas"]}, "did you mean 'mass'"),
+        ({"hold": 0.95}, "--hold: expected a share of the rows from 0 to 0.9"),
+        ({"start_values": {"place_delay": 0.1}}, "place_delay"),
+        ({}, "at least 500 rows"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_and_leaves_nothing_behind(tmp_path, changes, expected):
+    made_log(tmp_path / "log.csv", "walk", 4, rows=60)
+    with pytest.raises(UsageError, match=expected) as error:
+        fit_log(CART, tmp_path / "log.csv", tmp_path / "out", **changes)
+    assert len(str(error.value)) < 300
+    assert not (tmp_path / "out").exists()
