@@ -244,11 +244,18 @@ nd nd_tri(nd_arena *a, int n) {
     return x;
 }
 
+/* Rows of small arrays are shorter than a call. */
+static void copy_row(double *to, int st, const double *from, int sf, int n) {
+    if (n > 16 && st == 1 && sf == 1) memmove(to, from, sizeof(double) * (size_t)n);
+    else
+        for (int i = 0; i < n; i++, to += st, from += sf) *to = *from;
+}
+
 nd nd_copy(nd_arena *a, nd x) {
     nd r;
     if (!x) return x;
     r = nd_new(a, x->rank, x->n);
-    if (is_compact(x)) memcpy(r->p, x->p, sizeof(double) * (size_t)nd_size(x));
+    if (is_compact(x)) copy_row(r->p, 1, x->p, 1, nd_size(x));
     else nd_put(r, x);
     return r;
 }
@@ -352,13 +359,6 @@ nd nd_row(nd_arena *a, nd x, int i) {
     nd r = nd_take_bytes(a, sizeof *r);
     row_of(r, x, i);
     return r;
-}
-
-/* Rows of small arrays are shorter than a call. */
-static void copy_row(double *to, int st, const double *from, int sf, int n) {
-    if (n > 16 && st == 1 && sf == 1) memmove(to, from, sizeof(double) * (size_t)n);
-    else
-        for (int i = 0; i < n; i++, to += st, from += sf) *to = *from;
 }
 
 void nd_put(nd x, nd value) {
@@ -622,7 +622,33 @@ void nd_fill_diagonal(nd x, nd values) {
 
 static double power(double x, double y) { return y == 2.0 ? x * x : y == 0.5 ? sqrt(x) : pow(x, y); }
 
-/* Rows whose entries lie together, or are one number, are what compilers know to do several at a time. */
+/* Two numbers at a time, where the compiler has types for that: each has the bits that it has alone. */
+#ifdef __GNUC__
+typedef double two __attribute__((vector_size(16)));
+typedef double two_in_memory __attribute__((vector_size(16), aligned(8), may_alias));
+static two two_of(double x) { return (two){x, x}; }
+static two two_at(const double *p) { return *(const two_in_memory *)p; }
+static void put_two(double *p, two x) { *(two_in_memory *)p = x; }
+#define ND_TIMES(x, y) ((x) * (y))
+#define ND_PLUS(x, y) ((x) + (y))
+#define ND_PAIRS(first, second, value)                 \
+    for (; i + 2 <= n; i += 2) {                       \
+        two u = first, v = second;                     \
+        put_two(r + i, value);                         \
+    }
+#else
+typedef struct {
+    double p, q;
+} two;
+static two two_of(double x) { return (two){x, x}; }
+static two two_at(const double *p) { return (two){p[0], p[1]}; }
+static void put_two(double *p, two x) { p[0] = x.p, p[1] = x.q; }
+#define ND_TIMES(x, y) ((two){(x).p * (y).p, (x).q * (y).q})
+#define ND_PLUS(x, y) ((two){(x).p + (y).p, (x).q + (y).q})
+#define ND_PAIRS(first, second, value)
+#endif
+
+/* Rows whose entries lie together, or are one number, are what two at a time can be done of. */
 #define ND_EACH(op, value)                        \
     case op:                                      \
         for (int i = 0; i < n; i++) {             \
@@ -631,31 +657,22 @@ static double power(double x, double y) { return y == 2.0 ? x * x : y == 0.5 ? s
         }                                         \
         break;
 
-#define ND_FAST(op, value)                             \
-    case op:                                           \
-        if (sx == 1 && sy == 1)                        \
-            for (int i = 0; i < n; i++) {              \
-                double u = x[i], v = y[i];             \
-                r[i] = (value);                        \
-            }                                          \
-        else if (sx == 0 && sy == 1) {                 \
-            double u = *x;                             \
-            for (int i = 0; i < n; i++) {              \
-                double v = y[i];                       \
-                r[i] = (value);                        \
-            }                                          \
-        } else if (sx == 1 && sy == 0) {               \
-            double v = *y;                             \
-            for (int i = 0; i < n; i++) {              \
-                double u = x[i];                       \
-                r[i] = (value);                        \
-            }                                          \
-        } else                                         \
-            for (int i = 0; i < n; i++) {              \
-                double u = x[i * sx], v = y[i * sy];   \
-                r[i] = (value);                        \
-            }                                          \
-        break;
+#define ND_FAST(op, value)                                        \
+    case op: {                                                    \
+        int i = 0;                                                \
+        if (sx == 1 && sy == 1) {                                 \
+            ND_PAIRS(two_at(x + i), two_at(y + i), value)         \
+        } else if (sx == 0 && sy == 1) {                          \
+            ND_PAIRS(two_of(*x), two_at(y + i), value)            \
+        } else if (sx == 1 && sy == 0) {                          \
+            ND_PAIRS(two_at(x + i), two_of(*y), value)            \
+        }                                                         \
+        for (; i < n; i++) {                                      \
+            double u = x[i * sx], v = y[i * sy];                  \
+            r[i] = (value);                                       \
+        }                                                         \
+        break;                                                    \
+    }
 
 static void binary_row(int op, int n, double *restrict r, const double *restrict x, int sx, const double *restrict y,
                        int sy) {
@@ -933,25 +950,6 @@ bool nd_equal(nd x, nd y) {
 /* -- products */
 
 /* Two columns at a time stay in one register; each sum goes in the order of the terms. */
-#ifdef __GNUC__
-typedef double two __attribute__((vector_size(16)));
-typedef double two_in_memory __attribute__((vector_size(16), aligned(8), may_alias));
-static two two_of(double x) { return (two){x, x}; }
-static two two_at(const double *p) { return *(const two_in_memory *)p; }
-static void put_two(double *p, two x) { *(two_in_memory *)p = x; }
-#define ND_TIMES(x, y) ((x) * (y))
-#define ND_PLUS(x, y) ((x) + (y))
-#else
-typedef struct {
-    double p, q;
-} two;
-static two two_of(double x) { return (two){x, x}; }
-static two two_at(const double *p) { return (two){p[0], p[1]}; }
-static void put_two(double *p, two x) { p[0] = x.p, p[1] = x.q; }
-#define ND_TIMES(x, y) ((two){(x).p * (y).p, (x).q * (y).q})
-#define ND_PLUS(x, y) ((two){(x).p + (y).p, (x).q + (y).q})
-#endif
-
 /* r (rows,columns) in one piece = x (rows,inner) y (inner,columns), for the strides of rows and columns. */
 static void multiply(double *r, int rows, int inner, int columns, const double *x, const int *sx, const double *y,
                      const int *sy) {
