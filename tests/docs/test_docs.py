@@ -118,6 +118,7 @@ def test_the_documentation_shows_every_command_of_the_program():
         "design",
         "build",
         "estimate",
+        "fit",
         "simulate",
         "sweep",
         "report",
