@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ndob_fmu.command_line.options import (
     BUILD,
@@ -101,6 +101,12 @@ def add_model_commands(commands: Commands) -> None:
         "--systems", type=Path, metavar="DIR", help="also these, and packages of the shipped systems in DIR"
     )
     parser.add_argument(
+        "--start-values-file",
+        type=Path,
+        metavar="FILE",
+        help="JSON file of start values of parameters, as `fit` writes it; each FMU takes those that it has",
+    )
+    parser.add_argument(
         "--target",
         choices=("python", "native"),
         default="python",
@@ -166,10 +172,21 @@ def _build(options: argparse.Namespace) -> int:
     if options.systems is not None and options.fmi != 2:
         raise UsageError.report("build --systems", expected="--fmi 2, whose FMUs are coupled", received="--fmi 3")
     out = options.out or (NATIVE if native else BUILD) / "fmus"
-    builders = _native_builders(options.platforms, options.fmi) if native else _python_builders()
+    values = _start_values(options)
+    builders = _native_builders(options.platforms, options.fmi, values) if native else _python_builders(values)
     for path in _build_all(options.model, out, options.components, options.systems, builders):
         print(path)
     return 0
+
+
+def _start_values(options: argparse.Namespace) -> dict[str, Any]:
+    if options.start_values_file is None:
+        return {}
+    if options.model is None:
+        raise UsageError.report("build --start-values-file", expected="the MODEL that they are of", received="none")
+    from ndob_fmu.log.told_values import read_start_values
+
+    return read_start_values(options.start_values_file)
 
 
 class _Builders(NamedTuple):
@@ -180,19 +197,21 @@ class _Builders(NamedTuple):
     controller: Callable[[Model, Path], Path]
 
 
-def _python_builders() -> _Builders:
+def _python_builders(start_values: Mapping[str, Any] | None = None) -> _Builders:
     from ndob_fmu.fmu import build
     from ndob_fmu.fmu.components import build_components
     from ndob_fmu.fmu.controller import build_controller
 
-    return _Builders(build, build_components, build_controller)
+    return _Builders(partial(build, start_values=start_values), build_components, build_controller)
 
 
-def _native_builders(platforms: Sequence[str] = (), fmi: int = 2) -> _Builders:
+def _native_builders(
+    platforms: Sequence[str] = (), fmi: int = 2, start_values: Mapping[str, Any] | None = None
+) -> _Builders:
     from ndob_fmu.native import build as native
 
     return _Builders(
-        partial(native.build_native, platforms=platforms, fmi=fmi),
+        partial(native.build_native, platforms=platforms, fmi=fmi, start_values=start_values),
         partial(native.build_native_components, platforms=platforms, fmi=fmi),
         partial(native.build_native_controller, platforms=platforms, fmi=fmi),
     )

@@ -31,6 +31,12 @@ def add_simulation_commands(commands: Commands) -> None:
     parser.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="start values by component.variable"
     )
+    parser.add_argument(
+        "--start-values-file",
+        type=Path,
+        metavar="FILE",
+        help="JSON file of such values, as `fit` writes it; a parameter's name alone is for each component that has it",
+    )
     parser.add_argument("--strict", action="store_true", help="refuse inputs that nothing drives, instead of a warning")
     parser.add_argument("--input-file", type=Path, help="CSV of inputs, columns component.variable")
     parser.add_argument("--output-file", type=Path, help="CSV file of the results")
@@ -63,19 +69,22 @@ def _simulate(options: argparse.Namespace) -> int:
         raise UsageError.report(
             "simulate", expected="either the path of a system or --demo", received="both" if options.demo else "neither"
         )
+    system = build_demo() if options.demo else options.system
     settings = {
         "start_time": options.start_time,
         "stop_time": options.stop_time,
         "step_size": options.step_size,
         "output_interval": options.output_interval,
-        "start_values": pairs("--start-values", options.start_values),
+        "start_values": {
+            **_of_file(system, options.start_values_file),
+            **pairs("--start-values", options.start_values),
+        },
         "input_file": options.input_file,
         "tolerance": options.tolerance,
         "strict": options.strict,
         "scheme": options.scheme,
         "order": options.order,
     }
-    system = build_demo() if options.demo else options.system
     failure: FailedRunError | None = None
     try:
         if options.results is None:
@@ -104,6 +113,15 @@ def _simulate(options: argparse.Namespace) -> int:
     if failure is not None:
         raise failure
     return 0
+
+
+def _of_file(system: Path | str, file: Path | None) -> dict[str, Any]:
+    if file is None:
+        return {}
+    from ndob_fmu.cosim import start_values_of_components
+    from ndob_fmu.log.told_values import read_start_values
+
+    return start_values_of_components(system, read_start_values(file))
 
 
 def _demo(options: argparse.Namespace) -> int:

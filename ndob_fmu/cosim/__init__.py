@@ -2,7 +2,7 @@
 
 from ndob_fmu.cosim.component import Component, Value, Variable
 from ndob_fmu.cosim.fmi.fmu_component import FmuComponent
-from ndob_fmu.cosim.simulation import open_system, simulate
+from ndob_fmu.cosim.simulation import open_system, simulate, start_values_of_components
 from ndob_fmu.cosim.ssp import check_ssp, open_ssp, parameter_sets
 from ndob_fmu.cosim.system.loops import AlgebraicLoop, algebraic_loops
 from ndob_fmu.cosim.system.ports import Connection, Port
@@ -25,4 +25,5 @@ __all__ = [
     "open_system",
     "parameter_sets",
     "simulate",
+    "start_values_of_components",
 ]

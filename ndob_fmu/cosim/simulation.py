@@ -93,6 +93,27 @@ def simulate(
         return _with_outputs(opened, found)
 
 
+def start_values_of_components(system: System | str | Path, values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return start values as `simulate` takes them, where a parameter's name alone means each component that has it.
+
+    values: by ``component.variable``, by the name of an input at the boundary, or by that of a parameter
+
+    Raises CouplingError for a name that none of these is, UsageError for a value that it cannot have.
+    """
+    found: dict[str, Value] = {}
+    with open_system(system) as (opened, _):
+        for name, value in values.items():
+            of_each = [
+                f"{part}.{name}"
+                for part, component in opened.components.items()
+                if any(v.name == name and v.causality == "parameter" for v in component.variables)
+            ]
+            for port in of_each or [name]:
+                opened.starts(port, value)
+                found[port] = value
+    return found
+
+
 def _nan(recording: Recording) -> str:
     """Return a line about signals that are NaN at the end, and which of them was NaN first; empty if there are none."""
     lost = np.flatnonzero(np.isnan(recording.columns[-1]))

@@ -7,10 +7,12 @@ first one's. Every bundled module is therefore named by a digest of its content.
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from ndob_fmu import interface, runtime
 from ndob_fmu.support.shipped import shipped_folder
@@ -33,11 +35,17 @@ class Bundle:
 
 
 def bundle(
-    class_name: str, slave_module: str, slave_class: str, data_text: str = "", arguments: Sequence[str] = ()
+    class_name: str,
+    slave_module: str,
+    slave_class: str,
+    data_text: str = "",
+    arguments: Sequence[str] = (),
+    start_values: Mapping[str, float | int | bool | str] = MappingProxyType({}),
 ) -> Bundle:
     """Return the files of the FMU `class_name`, whose slave is `slave_class` of fmus/`slave_module`.py.
 
     `data_text` is a module that defines the `arguments` that the slave is made with, like EQUATIONS.
+    `start_values` take the place of those that the slave has.
     """
     carried = {
         **_texts(_RUNTIME, "**/*.py"),
@@ -52,7 +60,7 @@ def bundle(
         return re.sub(r"(?m)^( *from )ndob_fmu\.interface\b", rf"\1{package}.interface", text)
 
     files = {f"{package}/{name}": renamed(text) for name, text in carried.items()}
-    files[START_VALUES] = "{}\n"
+    files[START_VALUES] = json.dumps(dict(start_values), sort_keys=True, indent=1) + "\n"
     if arguments:
         files[f"{data}.py"] = renamed(data_text)
     modules = sorted(name.removesuffix(".py").replace("/", ".") for name in carried if "__init__" not in name)

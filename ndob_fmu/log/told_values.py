@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ndob_fmu.errors import UsageError, nearest, one_of
+from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.model_variables import METHODS, observer_variables
-from ndob_fmu.interface.variables import Variable, expected_value, is_acceptable
+from ndob_fmu.model.start_values import typed_values
 from ndob_fmu.runtime.equations import Equations
-
-_TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
 def told_values(equations: Equations, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -23,37 +21,11 @@ def told_values(equations: Equations, given: Mapping[str, Any]) -> dict[str, Any
     Raises UsageError for a name that is no parameter, for a value that it cannot have, and for method 1, which has no
     error bars.
     """
-    parameters = {v.name: v for v in observer_variables(equations) if v.causality == "parameter"}
-    values = {name: variable.start for name, variable in parameters.items()}
-    for name, value in given.items():
-        if name not in parameters:
-            raise UsageError.report(
-                f"start value of {name}",
-                expected=one_of("parameter", parameters, name),
-                received=repr(name),
-                likely=nearest(name, parameters),
-            )
-        values[name] = _typed(parameters[name], value)
+    variables = observer_variables(equations)
+    values = {v.name: v.start for v in variables if v.causality == "parameter"} | typed_values(variables, given)
     if values["method"] != METHODS["sampled_data"]:
         raise UsageError.report("method", expected="2 for a log", received="1", likely="--start-values method 2")
     return values
-
-
-def _typed(variable: Variable, value: Any) -> Any:
-    text = str(value).strip().lower()
-    try:
-        if variable.type == "Boolean":
-            found: Any = _TRUTH[text]
-        else:
-            found = float(value)
-            if variable.type != "Real":
-                found = (variable.items or {}).get(text, int(found) if found.is_integer() else None)
-        if found is not None and is_acceptable(variable, found):
-            return found
-    except (KeyError, TypeError, ValueError, OverflowError):
-        pass
-    expected = "true or false" if variable.type == "Boolean" else expected_value(variable)
-    raise UsageError.report(f"start value of {variable.name}", expected=expected, received=repr(value))
 
 
 def read_start_values(path: Path) -> dict[str, Any]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ndob_fmu.analysis.assumptions import require_own_part
 from ndob_fmu.analysis.controller_design import design_controller
 from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.fmu.build import given_values
 from ndob_fmu.fmu.components import records
 from ndob_fmu.fmu.controller import controller_record
 from ndob_fmu.fmu.documentation_files import documentation_files
@@ -20,6 +22,7 @@ from ndob_fmu.fmu.record import ComponentRecord
 from ndob_fmu.interface.model_variables import observer_variables, plant_variables
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
+from ndob_fmu.model.start_values import started
 from ndob_fmu.native.compile import PLATFORMS
 from ndob_fmu.native.components import CODES
 from ndob_fmu.native.controller import controller_code
@@ -45,21 +48,25 @@ def build_native(
     platforms: Sequence[str] = (),
     fmi: int = 2,
     keep: bool = False,
+    start_values: Mapping[str, Any] | None = None,
 ) -> tuple[Path, Path]:
     """Write `<Name>Plant.fmu` and `<Name>Observer.fmu` in C into the folder `out` and return their paths.
 
     platforms: names in PLATFORMS; none: this machine's
     fmi: FMI's version, 2 or 3
     keep: leave FMUs as they are that would have the same sources and binaries for the same platforms
+    start_values: of parameters, in place of the model's; each FMU has those of its own parameters
 
     Raises AssumptionError where the model lacks what method 2 needs, ModelError where an expression has no C form, and
-    UsageError where a binary cannot be compiled or the folder not be written.
+    UsageError for start values that no parameter can have, and where a binary cannot be compiled or the folder not be
+    written.
     """
+    values = given_values(model, start_values or {})
     require_own_part(model)
     eq, chosen = compile_model(model), _chosen(platforms)
     parts: tuple[tuple[Part, tuple[Variable, ...], ComponentCode], ...] = (
-        ("Plant", plant_variables(eq), plant_code(model)),
-        ("Observer", observer_variables(eq), observer_code(model)),
+        ("Plant", started(plant_variables(eq), values)[0], plant_code(model)),
+        ("Observer", started(observer_variables(eq), values)[0], observer_code(model)),
     )
     plant, observer = (
         package(

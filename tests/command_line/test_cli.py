@@ -205,6 +205,17 @@ def test_simulate_takes_the_options_of_fmpy_and_writes_its_form_of_csv(flexible_
     np.testing.assert_array_equal(table["plant.load_torque_total"], [0.0] * 6 + [3.0] * 5)
 
 
+def test_simulate_gives_the_values_of_a_file_to_each_component_that_has_the_parameter(flexible_joint):
+    Path("fit.json").write_text('{"gravity_torque": 3.0, "lag": 0.02, "plant.link_angle_start": 0.5}')
+    command = ["simulate", str(flexible_joint.system), "--stop-time", "0.1", "--results", "r"]
+    assert main([*command, "--start-values-file", "fit.json", "--start-values", "observer.lag", "0.04"]) == 0
+    told = json.loads(Path("r/summary.json").read_text())["parameters"]
+    wanted = {"plant.gravity_torque": 3.0, "observer.gravity_torque": 3.0, "observer.lag": 0.04}
+    assert {name: float(told[name]) for name in wanted} == wanted
+    assert "plant.lag" not in told
+    assert read_csv("r/result.csv")["plant.link_angle"][0] == 0.5
+
+
 def test_simulate_runs_a_single_fmu_with_bare_names(flexible_joint, capsys):
     words = ["--stop-time", "0.1", "--step-size", "0.05", "--start-values", "link_angle_start", "0.5"]
     assert main(["simulate", str(flexible_joint.plant), *words, "--output-file", "out.csv"]) == 0
@@ -333,6 +344,7 @@ def test_a_folder_that_cannot_be_written_returns_2(tmp_path, capsys):
         (["--start-values", "alpha", "1"], 2, ["did you mean 'observer.alpha'?"]),
         (["--start-values", "observer.alpha", "one"], 2, ["observer.alpha", "one"]),
         (["--input-file", "missing.csv"], 2, ["missing.csv"]),
+        (["--start-values-file", "missing.json"], 2, ["missing.json", "a JSON file that can be read"]),
         (["--start-values", "observer.pi_end", "-1"], 1, ["observer", "pi_end", "received -1.0"]),
     ],
 )
