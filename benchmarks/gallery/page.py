@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
+from benchmarks.emps.page import TITLE as EMPS
 from benchmarks.estimator.kalman import ekf
 from benchmarks.estimator.ours import Estimates, ours_of
 from benchmarks.estimator.page import save_flat
@@ -216,7 +217,7 @@ def write_index(folder: Path, shown: Sequence[tuple[Plant, Exhibit]]) -> Path:
     names = "\n".join(plant.name for plant, _ in shown)
     path = folder / "index.md"
     with atomic_path(path) as temporary:
-        temporary.write_text(_INDEX.format(rows=rows, names=names), "utf-8", newline="\n")
+        temporary.write_text(_INDEX.format(rows=rows, names=names, emps=EMPS), "utf-8", newline="\n")
     return path
 
 
@@ -237,9 +238,16 @@ what to set and why. The files are in `examples/`; copy the nearest one.
 |---|---|---|
 {rows}
 
+A page on a measured record of a real drive goes from the record to `fit` and to the estimate:
+
+| plant | unknown | measured |
+|---|---|---|
+| [{emps}](emps.md) | `force` | `position` |
+
 ```{{toctree}}
 :hidden:
 
 {names}
+emps
 ```
 """
