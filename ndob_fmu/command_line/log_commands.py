@@ -1,13 +1,16 @@
-"""The commands that start from a recorded log: estimate, fit."""
+"""The commands that start from a recorded log: estimate, fit, tune."""
 
 from __future__ import annotations
 
 import argparse
+import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ndob_fmu.command_line.options import MODEL_HELP, Commands, add_command, assignments, pairs
+from ndob_fmu.support.extras import extra
+from ndob_fmu.support.progress import PATIENCE, shown_after
 
 if TYPE_CHECKING:
     from ndob_fmu.log.estimate_log import Estimated
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def add_log_commands(commands: Commands) -> None:
-    """Add estimate and fit."""
+    """Add estimate, fit and tune."""
     estimate = add_command(
         commands,
         "estimate",
@@ -44,6 +47,15 @@ def add_log_commands(commands: Commands) -> None:
         help="share of the rows, the last ones, to judge by (default: %(default)s)",
     )
     fit.add_argument("--out", type=Path, metavar="DIR", help="folder of fit.json (default: results/LOG)")
+    tune = add_command(
+        commands,
+        "tune",
+        _tune,
+        "Open a local page with sliders for the settings, which shows at once what they make of a recorded log.",
+    )
+    _add_log(tune)
+    tune.add_argument("--out", type=Path, metavar="DIR", help="folder to save fit.json into (default: results/LOG)")
+    tune.add_argument("--no-browser", action="store_true", help="print the address only")
 
 
 def _add_log(parser: argparse.ArgumentParser) -> None:
@@ -92,6 +104,22 @@ def _fit(options: argparse.Namespace) -> int:
     print(_fit_text(fitted, model.units))
     path = out / FIT
     print(f"{path}: `ndob-fmu estimate {options.model} {options.log} --start-values-file {path}` uses it")
+    return 0
+
+
+def _tune(options: argparse.Namespace) -> int:
+    with extra("tune"):
+        from ndob_fmu.log.tune.serve import address, page_server
+    from ndob_fmu.log.tune.workbench import Workbench
+    from ndob_fmu.model.loading import load_model
+
+    with shown_after(PATIENCE):
+        workbench = Workbench(load_model(options.model), options.log, **_told(options))
+    server = page_server(workbench, options.log.name, options.out or Path("results", options.log.stem))
+    print(f"{address(server)}: settings for {options.log}; Ctrl-C ends it", flush=True)
+    if not options.no_browser:
+        webbrowser.open(address(server))
+    server.serve_forever()
     return 0
 
 

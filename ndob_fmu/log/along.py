@@ -11,6 +11,7 @@ from ndob_fmu.log.events import Jumps
 from ndob_fmu.log.row_model import NODE_WEIGHTS, RowModel
 from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.step.layout import Layout
 
 # A jump may be as large as from one bound to the other. Inside a step it stands as jumps at three instants, as in
 # `jump_bank`.
@@ -42,6 +43,15 @@ class Start:
 
     xi: Array
     factor: Array
+
+
+def in_layout(trajectory: Array, old: Layout, new: Layout) -> Array:
+    """Return a trajectory (K,N) of one order of d in the layout of another; what it does not have is 0."""
+    xi = np.zeros((len(trajectory), new.size))
+    shared = min(old.order, new.order) * new.q
+    xi[:, : new.n + shared] = trajectory[:, : old.n + shared]
+    xi[:, new.biases.start :] = trajectory[:, old.biases.start :]
+    return xi
 
 
 def record_along(

@@ -19,6 +19,8 @@ from ndob_fmu.runtime.arrays import Array
 _MOST_PIECES = 48
 # Two neighbours agree at a row up to this part of their standard deviations.
 _AGREE = 1e-3
+# Where they do not, longer overlaps are tried: still far less than the whole record in one piece.
+_LONGER = (1, 2, 4)
 
 
 @dataclass(frozen=True)
@@ -107,12 +109,13 @@ def cut_record(record: LinearRecord, overlap: int, wide: Array) -> CutRecord:
     wide (N,): standard deviations of ξ at the start of a piece
     """
     K = len(record.rows)
-    pieces = cut(K, overlap)
-    found = CutRecord(record, pieces, parts_of(record, pieces, wide))
-    if len(pieces.first) > 1 and not _agree(pieces, forward(found.parts)):
-        pieces = Pieces(np.zeros(1, dtype=np.intp), K, np.array([0, K]))
+    for longer in _LONGER:
+        pieces = cut(K, longer * overlap)
         found = CutRecord(record, pieces, parts_of(record, pieces, wide))
-    return found
+        if len(pieces.first) == 1 or _agree(pieces, forward(found.parts)):
+            return found
+    pieces = Pieces(np.zeros(1, dtype=np.intp), K, np.array([0, K]))
+    return CutRecord(record, pieces, parts_of(record, pieces, wide))
 
 
 def parts_of(record: LinearRecord, pieces: Pieces, wide: Array) -> LinearRecord:

@@ -63,6 +63,11 @@ def forgotten_rows(tuned: Tuned) -> int:
     return max(_LEAST_OVERLAP, round(_FORGOTTEN * tuned.model.jump_spacing / tuned.H))
 
 
+def event_spacing(tuned: Tuned) -> int:
+    """Return within how many rows there is one new event."""
+    return max(_LEAST_SPACING, round(2.0 * tuned.model.jump_spacing / tuned.H))
+
+
 def smooth(
     observer: SampledObserver, functions: RowFunctions, x_hat: Vector, stretches: Iterator[Stretch]
 ) -> Iterator[tuple[Stretch, SmoothedStretch]]:
@@ -82,9 +87,9 @@ def smooth(
     while True:
         following = next(stretches, None)
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
-        found, trajectory = _explained(tuned, equations, part, start, started)
+        found, trajectory = explained_stretch(tuned, equations, part, start, started)
         K = len(stretch.log.time)
-        yield stretch, _result(tuned.model, found, trajectory, K)
+        yield stretch, smoothed_stretch(tuned.model, found, trajectory, K)
         if following is None:
             return
         start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
@@ -92,15 +97,17 @@ def smooth(
         stretch = following
 
 
-def _explained(tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int) -> tuple[Explained, Array]:
+def explained_stretch(
+    tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int
+) -> tuple[Explained, Array]:
     """Return a stretch as its events explain it, and the trajectory (K,N) about which it is linear.
 
     started: rows of the start, in which the disturbance is unknown anyway
     """
     model, said = tuned.model, part.online
-    samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, _noise_variance(model, said.noise_ratio))
+    samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, noise_variance(model, said.noise_ratio))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
-    spacing = max(_LEAST_SPACING, round(2.0 * model.jump_spacing / tuned.H))
+    spacing = event_spacing(tuned)
     as_told = [1.0] * samples.outputs.shape[1]
     trajectory = np.array([model.layout.unpacked(row) for row in said.predicted])
     for _ in range(1 if model.is_linear else _LINEARISATIONS):
@@ -112,7 +119,7 @@ def _explained(tuned: Tuned, equations: RowModel, part: Stretch, start: Start, s
     return found, about
 
 
-def _noise_variance(model: FilterModel, ratio: Array) -> Array:
+def noise_variance(model: FilterModel, ratio: Array) -> Array:
     """Return the variances of the samples (K,p), for ratios (K,p) that follow the residuals."""
     if not model.adapts:
         return np.broadcast_to(model.noise_variance, ratio.shape)
@@ -122,7 +129,7 @@ def _noise_variance(model: FilterModel, ratio: Array) -> Array:
     return np.asarray(model.noise_variance * [in_use(row, least) for row in believed.tolist()])
 
 
-def _result(model: FilterModel, found: Explained, about: Array, rows: int) -> SmoothedStretch:
+def smoothed_stretch(model: FilterModel, found: Explained, about: Array, rows: int) -> SmoothedStretch:
     """Return the smoothed estimate at the first rows."""
     n, d = model.layout.n, model.layout.disturbance
     all_rows = smoothed(found.forward, found.adjoint)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from ndob_fmu.report.signals import spans, thinned
+from ndob_fmu.report.signals import spans
 from ndob_fmu.results.plots import decades
+from ndob_fmu.results.thinning import thinned
 from ndob_fmu.runtime.arrays import Array
 
 # Told apart in print without colours too: what is true is dashed and black, a band is a light shade.

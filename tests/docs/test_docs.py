@@ -119,6 +119,7 @@ def test_the_documentation_shows_every_command_of_the_program():
         "build",
         "estimate",
         "fit",
+        "tune",
         "simulate",
         "sweep",
         "report",

@@ -14,7 +14,19 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "ndob_fmu"
 SLAVES = sorted((ROOT / "fmus").glob("*slave*.py"))
 CARRIED = ("ndob_fmu.runtime", "ndob_fmu.interface")  # inside every FMU
-HEAVY = ("scipy", "sympy", "fmpy", "pythonfmu", "matplotlib", "pint", "distributed", "pyarrow", "plotly", "jinja2")
+HEAVY = (
+    "scipy",
+    "sympy",
+    "fmpy",
+    "pythonfmu",
+    "matplotlib",
+    "pint",
+    "distributed",
+    "pyarrow",
+    "plotly",
+    "jinja2",
+    "dash",
+)
 
 
 def name_of(path):
@@ -153,12 +165,18 @@ def test_a_part_of_a_folder_imports_only_those_before_it(name):
 
 
 @pytest.mark.parametrize(
-    ("package", "users"),
-    [("ndob_fmu.study", ("ndob_fmu.study", "ndob_fmu.report")), ("ndob_fmu.report", ("ndob_fmu.report",))],
+    ("package", "users", "command"),
+    [
+        ("ndob_fmu.study", ("ndob_fmu.study", "ndob_fmu.report"), "study_commands"),
+        ("ndob_fmu.report", ("ndob_fmu.report",), "study_commands"),
+        ("ndob_fmu.log.tune.serve", (), "log_commands"),
+        ("dash", ("ndob_fmu.log.tune.page",), None),
+    ],
 )
-def test_what_needs_an_extra_is_imported_by_the_commands_that_ask_for_it_only(package, users):
+def test_what_needs_an_extra_is_imported_by_the_commands_that_ask_for_it_only(package, users, command):
     found = {name for name, path in MODULES.items() if any(within(i, package) for i in imports(path))}
-    assert {name for name in found if not within(name, *users)} == {"ndob_fmu.command_line.study_commands"}
+    wanted = set() if command is None else {f"ndob_fmu.command_line.{command}"}
+    assert {name for name in found if not within(name, *users)} == wanted
 
 
 def test_only_the_program_itself_imports_the_command_line():

@@ -15,10 +15,11 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.report import write_report
 from ndob_fmu.report.observers import disturbance_figures, input_figures, output_figures
 from ndob_fmu.report.recorded_run import RecordedRun, read_recorded_run
-from ndob_fmu.report.signals import estimates, spans, thinned, usual_range
+from ndob_fmu.report.signals import estimates, spans, usual_range
 from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.results.plots import decades
 from ndob_fmu.results.recording import Recording
+from ndob_fmu.results.thinning import thinned
 from ndob_fmu.study.axes import Axis, cell_medians, pairs_of, point_medians
 from tests.helpers.browser import browser, requests, screenshot
 

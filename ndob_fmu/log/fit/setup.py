@@ -13,7 +13,7 @@ from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
-from ndob_fmu.log.along import Samples
+from ndob_fmu.log.along import Samples, in_layout
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.online import Stretch, along
@@ -121,14 +121,9 @@ class Setup:
 
     def trajectory(self, run: Run, problem: Problem) -> Array:
         """Return ξ (K,N) along a log by the observer's estimate."""
-        layout, online = problem.rows.model.layout, run.observer.layout
-        said = np.array([online.unpacked(row) for row in run.stretch.online.predicted])
-        xi = np.zeros((run.rows, layout.size))
-        xi[:, : layout.n] = said[:, : layout.n]
-        shared = min(layout.order, online.order) * layout.q
-        xi[:, layout.n : layout.n + shared] = said[:, online.n : online.n + shared]
-        xi[:, layout.biases] = said[:, online.biases]
-        return xi
+        layout = run.observer.layout
+        said = np.array([layout.unpacked(row) for row in run.stretch.online.predicted])
+        return in_layout(said, layout, problem.rows.model.layout)
 
     def tuned_intensity(self, changes: Mapping[str, Any], H: float) -> Array:
         """Return the intensity (q2,) for which an observer with changed values tunes itself at a step H (s)."""

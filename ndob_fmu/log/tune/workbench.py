@@ -1,0 +1,283 @@
+"""What a log says with other settings: the linearised filter over it, in a part of a second.
+
+The observer runs along the log once, with the values that were told. Its equations are linearised along the smoothed
+estimate, and the jumps and outliers are found. With other settings the same linear record is filtered with other noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.codegen.row_functions import row_functions
+from ndob_fmu.errors import UsageError
+from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
+from ndob_fmu.log.along import Samples, Start, in_layout, record_along
+from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
+from ndob_fmu.log.events import Events, Explained, Jumps, explained, with_events
+from ndob_fmu.log.log_columns import Signals
+from ndob_fmu.log.online import along
+from ndob_fmu.log.pieces import CutRecord, cut_record
+from ndob_fmu.log.read_log import read_log
+from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, forgotten_rows, noise_variance
+from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, smoothed
+from ndob_fmu.log.told_values import told_values
+from ndob_fmu.log.tune.lagged import lagged_adjoint
+from ndob_fmu.log.tune.settings import Settings, settings_of
+from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from ndob_fmu.runtime.step.tuned import Tuned
+from ndob_fmu.support.progress import begin
+
+# A log with jitter has as many steps as rows; the intensity, by a power law, is interpolated between so many of them.
+_LENGTHS = 33
+_REMEMBERED = 16
+
+
+@dataclass(frozen=True)
+class Band:
+    """A disturbance estimate (K,q2) and its error bar (K,q2)."""
+
+    d: Array
+    std: Array
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the linearised filter says of a log.
+
+    online, lagged, smoothed: estimates from the samples up to a row, up to a lag behind it, and from all; lagged is
+    None without a lag
+    residual, residual_std (K,p): innovations; NaN where nothing was measured
+    jumps, outliers: how many are known
+    diagnoses: of each output, by its name; verdicts: one line each
+    """
+
+    online: Band
+    lagged: Band | None
+    smoothed: Band
+    residual: Array
+    residual_std: Array
+    jumps: int
+    outliers: int
+    diagnoses: Mapping[str, OutputDiagnosis]
+    verdicts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A log about a trajectory (K,N), in the layout of an order: the record and the columns of jumps.
+
+    sizes (K-1,c): of the noise in the record
+    """
+
+    trajectory: Array
+    record: LinearRecord
+    columns: Jumps
+    sizes: Array
+
+
+class Workbench:
+    """A log, which `shown` filters with any settings. It remembers what is costly. Not for several threads at once.
+
+    Only the first 30 000 rows are read. Raises UsageError for a log or values that cannot be used, DesignError and
+    AssumptionError where the observer cannot be designed, IntegrationError where its estimate leaves the finite
+    numbers.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        path: str | Path,
+        *,
+        names: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+        start_values: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.equations = eq = compile_model(model)
+        self._values = told_values(eq, start_values or {})
+        self._given = {name: self._values[name] for name in start_values or {}}
+        self._functions = row_functions(model)
+        self._linear: dict[int, _Linear] = {}
+        self._tunings: dict[Settings, tuple[SampledObserver, Tuned]] = {}
+        self.told = settings_of(eq, self._values)
+        observer = self._observer(self.told)
+        if eq.channel is not None or not can_smooth(observer):
+            raise UsageError.report(
+                "tune",
+                expected="a plant without a channel, outputs without a delay, and disturbance_order 1 or more",
+                received="another one",
+                likely="--start-values disturbance_order 1",
+            )
+        block = next(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
+        begin(f"running the observer along {len(block.time)} rows of the log")
+        self._x_hat = values_of(self._values.__getitem__, eq.states, "_hat_start")
+        self.stretch = next(along(observer, self._x_hat, iter([block])))
+        begin("finding jumps and outliers")
+        _, tuned = self._tuned(self.told)
+        rows = RowModel(tuned.model, self._functions)
+        found, about = explained_stretch(
+            tuned, rows, self.stretch, self._start(observer, tuned.model), tuned.model.start_samples
+        )
+        self._layout, self._about, self._events = tuned.model.layout, about, found.events
+
+    @property
+    def bound(self) -> list[float]:
+        """D₀ (q2,), of each disturbance."""
+        return for_disturbances(self.equations, self._values.__getitem__, "disturbance_bound")
+
+    def start_values(self, settings: Settings) -> dict[str, Any]:
+        """Return what was told, with the settings: the content of `fit.json`."""
+        return {**self._given, **settings.start_values(self.equations)}
+
+    def shown(self, settings: Settings) -> Shown:
+        """Return what the linearised filter says with the known jumps and outliers.
+
+        Raises DesignError where the observer has no tuning for the settings.
+        """
+        tuned, linear, cut = self._cut(settings)
+        return self._as_shown(settings, tuned, linear, with_events(cut, linear.columns, self._events))
+
+    def find_jumps(self, settings: Settings) -> None:
+        """Find the jumps and outliers that explain the log with these settings, in place of those that were known."""
+        tuned, linear, cut = self._cut(settings)
+        spacing, started = event_spacing(tuned), tuned.model.start_samples
+        self._events = explained(cut, linear.columns, spacing, started, self._events).events
+
+    def _observer(self, settings: Settings) -> SampledObserver:
+        values = {**self._values, **settings.start_values(self.equations)}
+        return told_observer(self.equations, values.__getitem__, _ignore)
+
+    def _tuned(self, settings: Settings) -> tuple[SampledObserver, Tuned]:
+        """Return the observer for settings, and what it is tuned to. The lag counts only as one that is there."""
+        key = replace(settings, lag=float(settings.lag > 0.0))
+        if key not in self._tunings:
+            observer = self._observer(settings)
+            if len(self._tunings) >= _REMEMBERED:
+                self._tunings.pop(next(iter(self._tunings)))
+            self._tunings[key] = (observer, observer.tuned(self.stretch.usual))
+        return self._tunings[key]
+
+    def _start(self, observer: SampledObserver, model: FilterModel) -> Start:
+        return Start(model.layout.unpacked(observer.init(self._x_hat).xi_hat), np.diag(model.start_std))
+
+    def _cut(self, settings: Settings) -> tuple[Tuned, _Linear, CutRecord]:
+        """Return the record with the noise of the settings, in pieces."""
+        observer, tuned = self._tuned(settings)
+        model, stretch = tuned.model, self.stretch
+        if settings.order not in self._linear:
+            self._linear[settings.order] = self._linearised(observer, tuned)
+        linear = self._linear[settings.order]
+        c, N = linear.sizes.shape[1], model.layout.size
+        factor = np.repeat(_noise_sizes(tuned, stretch.step[:-1]) / linear.sizes, N, axis=1)
+        record = replace(
+            linear.record,
+            noise=linear.record.noise * factor[:, None, : c * N],
+            variance=noise_variance(model, self._noise_ratio(settings)),
+            start_factor=np.diag(model.start_std),
+        )
+        return tuned, linear, cut_record(record, forgotten_rows(tuned), model.start_std)
+
+    def _noise_ratio(self, settings: Settings) -> Array:
+        """Return the variance (K,p) that the observer found in the residuals, over the one of the settings."""
+        told, new = np.array(self.told.noise_std), np.array(settings.noise_std)
+        return np.asarray(self.stretch.online.noise_ratio * (told / new) ** 2)
+
+    def _linearised(self, observer: SampledObserver, tuned: Tuned) -> _Linear:
+        model, log, step = tuned.model, self.stretch.log, self.stretch.step[:-1]
+        told = np.broadcast_to(model.noise_variance, log.outputs.shape)
+        trajectory = in_layout(self._about, self._layout, model.layout)
+        as_told = [1.0] * len(self.equations.outputs)
+        record, columns = record_along(
+            RowModel(model, self._functions),
+            Samples(step, log.inputs, log.outputs, told),
+            trajectory,
+            lambda H: tuned.intensity(H, as_told),
+            self._start(observer, model),
+        )
+        return _Linear(trajectory, record, columns, _noise_sizes(tuned, step))
+
+    def _as_shown(self, settings: Settings, tuned: Tuned, linear: _Linear, found: Explained) -> Shown:
+        model, run, eq = tuned.model, found.forward, self.equations
+        measured = np.isfinite(run.alpha)
+        residual = np.where(measured, run.innovation, np.nan)
+        residual_std = np.where(measured, np.sqrt(run.alpha), np.nan)
+        diagnoses = dict(
+            zip(eq.outputs, self._diagnoses(settings, model, found.events, residual, residual_std), strict=True)
+        )
+        rows = round(settings.lag / self.stretch.usual)
+        return Shown(
+            online=_filtered(model, linear.trajectory, run),
+            lagged=_with(model, linear.trajectory, run, lagged_adjoint(found.record, run, rows)) if rows else None,
+            smoothed=_with(model, linear.trajectory, run, found.adjoint),
+            residual=residual,
+            residual_std=residual_std,
+            jumps=len(found.events.jumps),
+            outliers=len(found.events.outliers),
+            diagnoses=diagnoses,
+            verdicts=tuple(
+                line
+                for (name, one), std in zip(diagnoses.items(), settings.noise_std, strict=True)
+                for line in one.verdicts(name, std, eq.units.get(name, ""))
+            ),
+        )
+
+    def _diagnoses(
+        self, settings: Settings, model: FilterModel, events: Events, residual: Array, residual_std: Array
+    ) -> list[OutputDiagnosis]:
+        refused = np.zeros_like(residual)
+        for k, i in events.outliers:
+            refused[k, i] = 1.0
+        said = replace(
+            self.stretch.online,
+            residual=residual,
+            residual_std=residual_std,
+            refused=refused,
+            noise_ratio=self._noise_ratio(settings),
+        )
+        tally = ResidualTally(len(self.equations.outputs), model.start_samples)
+        tally.add(replace(self.stretch, online=said))
+        return list(tally.diagnoses())
+
+
+def _noise_sizes(tuned: Tuned, steps: Array) -> Array:
+    """Return the square roots of the noise's intensities (K-1,c) in steps (K-1,)."""
+    as_told = [1.0] * len(tuned.model.noise_variance)
+    lengths, which = np.unique(steps, return_inverse=True)
+    some = np.geomspace(lengths[0], lengths[-1], _LENGTHS) if len(lengths) > _LENGTHS else lengths
+    sizes = np.array([tuned.model.noise_sizes(tuned.intensity(H, as_told), H) for H in some.tolist()])
+    if len(lengths) > _LENGTHS:
+        logs = np.log(sizes).T
+        sizes = np.exp([np.interp(np.log(lengths), np.log(some), one) for one in logs]).T
+    return np.asarray(sizes[which])
+
+
+def _filtered(model: FilterModel, trajectory: Array, run: Forward) -> Band:
+    """Return the estimate from the samples up to each row."""
+    d = model.layout.disturbance
+    before = (run.factor[:, d] ** 2).sum(axis=2)
+    alpha = np.where(np.isfinite(run.alpha), run.alpha, 0.0)
+    gain = run.gain[:, :, d]
+    value = trajectory[:, d] + run.xi[:, d] + (gain * run.innovation[:, :, None]).sum(axis=1)
+    variance = before - (gain**2 * alpha[:, :, None]).sum(axis=1)
+    return Band(value, np.minimum(np.sqrt(np.maximum(variance, 0.0)), model.bound))
+
+
+def _with(model: FilterModel, trajectory: Array, run: Forward, adjoint: Adjoint) -> Band:
+    """Return the estimate with the later samples that an adjoint knows."""
+    d = model.layout.disturbance
+    found = smoothed(run, adjoint)
+    variance = np.diagonal(found.covariance[:, d, d], axis1=1, axis2=2)
+    return Band(trajectory[:, d] + found.xi[:, d], np.minimum(np.sqrt(np.maximum(variance, 0.0)), model.bound))
+
+
+def _ignore(line: str) -> None:
+    """Take a warning that `estimate` gives too."""
