@@ -86,8 +86,20 @@ def test_the_notebook_was_executed_and_shows_its_figure_and_numbers(site):
     assert len(re.findall(r"step +\d+ ms: largest error", html)) == 4
 
 
-def test_the_notebook_lies_in_the_repository_without_outputs():
-    assert '"output_type"' not in (DOCS / "main_job.ipynb").read_text("utf-8")
+def test_the_notebook_from_a_log_finds_noise_and_inertia_and_its_fmu_the_load(site):
+    html = (site / "from_a_log.html").read_text("utf-8")
+    for name, true in (("angle", 2.0 * np.pi / 2**16 / 12**0.5), ("rate", 0.02), ("inertia", 2e-3)):
+        found, two_std = map(float, re.search(rf"{name}: (\S+) ± (\S+) ", html).groups())
+        assert abs(found - true) < 1.5 * two_std < 0.2 * true
+    rms = {key: float(mn) for key, mn in re.findall(r"(\w+, \w+)\.load\w*: RMS error (\S+) mN·m", html)}
+    assert rms["fitted, smoother"] < rms["fitted, observer"] < 0.2 * rms["told, observer"]
+    assert "fitted: the settings fit the log" in html
+    assert float(re.search(r"largest error of the FMU after 0\.3 s: (\S+) mN·m", html)[1]) < 10.0
+
+
+@pytest.mark.parametrize("path", sorted(DOCS.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_the_notebooks_lie_in_the_repository_without_outputs(path):
+    assert '"output_type"' not in path.read_text("utf-8")
 
 
 def test_the_reference_of_the_fmus_is_that_of_the_built_ones(shipped):
