@@ -17,6 +17,8 @@ from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.step.tuned import Tuned
 from ndob_fmu.support.files import atomic_folder
 from ndob_fmu.support.progress import begin
 
@@ -30,6 +32,8 @@ _NOT_TOLD = 0.5
 _LARGER = 1.2
 # A gain of the held-out log-likelihood that is worth another order.
 _SURE = 2.0
+# A jump that is too small to be noticed at once must be followed, too: the part of the mean rate of all jumps.
+_OF_JUMPS = 0.3
 
 
 @dataclass(frozen=True)
@@ -137,11 +141,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     }
     pace, pace_std = best.pace
     pace, pace_std = pace * best.raised, pace_std * best.raised
-    rates = rates_for(
-        pace,
-        lambda rates: setup.tuned_intensity({**found, **setup.named("disturbance_rate", rates)}, run.stretch.usual),
-        setup.of_disturbances("disturbance_rate"),
-    )
+    rates = _rates(setup, best, found, pace, run)
     return Fitted(
         rows=best.problem.trained,
         held_out=run.rows - best.problem.trained,
@@ -197,12 +197,27 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
     return setup, known
 
 
+def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, run: Run) -> Array:
+    """Return the disturbance_rate (q2,) for an intensity (q2,), fast enough for jumps that are not noticed at once."""
+    usual = run.stretch.usual
+
+    def tuned(rates: Array) -> Tuned:
+        return setup.tuned({**found, **setup.named("disturbance_rate", rates)}, usual)
+
+    rates = rates_for(
+        pace,
+        lambda rates: tuned(rates).intensity(usual, [1.0] * len(setup.equations.outputs)),
+        setup.of_disturbances("disturbance_rate"),
+    )
+    return np.maximum(rates, _OF_JUMPS * best.jumping_rate)
+
+
 def _best(fits: Mapping[int, ClassFit]) -> ClassFit:
-    """Return the class that explains the held-out rows best; the lower order where chance may decide."""
+    """Return the class that explains held-out and fitted rows best; the lower order where chance decides."""
     ranked = sorted(fits)
     best = fits[ranked[0]]
     for order in ranked[1:]:
-        if fits[order].judged > best.judged + _SURE:
+        if fits[order].judged > best.judged + _SURE and fits[order].noise.value > best.noise.value:
             best = fits[order]
     return best
 

@@ -24,6 +24,7 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from ndob_fmu.runtime.step.tuned import Tuned
 
 # Rows that the fit needs, and rows within which there is one new event.
 _LEAST_ROWS = 500
@@ -125,10 +126,9 @@ class Setup:
         said = np.array([layout.unpacked(row) for row in run.stretch.online.predicted])
         return in_layout(said, layout, problem.rows.model.layout)
 
-    def tuned_intensity(self, changes: Mapping[str, Any], H: float) -> Array:
-        """Return the intensity (q2,) for which an observer with changed values tunes itself at a step H (s)."""
-        observer = self._observer({**self.values, **changes})
-        return observer.tuned(H).intensity(H, [1.0] * len(self.equations.outputs))
+    def tuned(self, changes: Mapping[str, Any], H: float) -> Tuned:
+        """Return what an observer with changed values is tuned to at a step H (s)."""
+        return self._observer({**self.values, **changes}).tuned(H)
 
     def named(self, name: str, of_disturbances: Array) -> dict[str, float]:
         """Return the observer's parameters `name` of each disturbance with their values (q2,)."""
