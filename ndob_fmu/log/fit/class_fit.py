@@ -19,10 +19,12 @@ from ndob_fmu.log.pieces import CutRecord, cut, parts_of
 from ndob_fmu.log.smoother import smoothed
 from ndob_fmu.runtime.arrays import Array
 
-_MOST_ROUNDS = 8
+_MOST_ROUNDS = 12
 # A round that changes the logarithms of noise and pace by less, and each parameter by less than this part of its
 # standard deviation, is the last one.
 _SAME, _SAME_PARAMETERS = 0.02, 0.1
+# A likelihood that is less than before by more than this shows a step that was too long.
+_LESS = 0.5
 # A step of a parameter, at most, in its prior standard deviations.
 _LONGEST_STEP = 0.5
 # Error bars that hold what wanders between jumps, about.
@@ -100,18 +102,24 @@ class ClassFit:
         return found, found * np.sqrt(np.diag(self.noise.covariance)[-q:])
 
 
-def fit_class(problem: Problem, trajectory: Array, step_of: ParameterStep) -> ClassFit:
-    """Fit a class, from an estimate ξ (K,N) of all rows; step_of: the step of the parameters.
+def fit_class(problem: Problem, trajectory: Array, step_of: ParameterStep, *, climbs: bool = True) -> ClassFit:
+    """Fit a class, from an estimate ξ (K,N) of all rows.
+
+    step_of: the step of the parameters; climbs: whether it leads to a larger likelihood
 
     Raises IntegrationError where the equations cannot be followed.
     """
     theta, prior, before = problem.told, problem.parameter_std, None
-    train = slice(problem.trained)
+    train, at_best = slice(problem.trained), problem.told
     for _ in range(_MOST_ROUNDS):
         about = problem.about(trajectory, theta)
         noise = fit_noise(*about.pieces(train), problem.layout, before)
         found = _explained(about, noise)
         trajectory = trajectory + smoothed(found.forward, found.adjoint).xi
+        if climbs and before is not None and noise.value < before.value - _LESS:
+            theta = 0.5 * (theta + at_best)  # the step was too long
+            continue
+        at_best = theta
         step, covariance = np.zeros(0), np.zeros((0, 0))
         if len(prior):
             wanted, covariance = step_of(problem, trajectory, theta, noise)
@@ -129,7 +137,7 @@ def fit_class(problem: Problem, trajectory: Array, step_of: ParameterStep) -> Cl
     return ClassFit(
         problem=problem,
         noise=noise,
-        parameters=theta,
+        parameters=at_best,
         covariance=covariance,
         trajectory=trajectory,
         held_out=likelihood(told, problem.layout, search.columns, events).value - events.costs,

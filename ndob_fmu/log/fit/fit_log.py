@@ -177,7 +177,7 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
         problem = setup.problem(run, known.order)
         fit = fit_class(problem, known.trajectory, most_likely)
         if fit.disturbance_rms > _LARGER * known.disturbance_rms:
-            fit_of_least = fit_class(problem, known.trajectory, least_disturbance)
+            fit_of_least = fit_class(problem, known.trajectory, least_disturbance, climbs=False)
             warnings.append(
                 f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
                 f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
