@@ -105,6 +105,13 @@ def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys):
     assert set(found) > {"place_noise_std", "rate_noise_std", "disturbance_order", "disturbance_rate"}
 
 
+def test_nothing_need_be_held_out(tmp_path):
+    made_log(tmp_path / "log.csv", "walk", 4, rows=700)
+    found = fit_log(CART, tmp_path / "log.csv", tmp_path / "out", hold=0.0)
+    assert (found.rows, found.held_out, found.held_out_values) == (700, 0, {1: None, 2: None})
+    assert found.order == 1
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [

@@ -31,7 +31,6 @@ _LONGEST_STEP = 0.5
 _HOLDS, _MOST_RAISES = 0.95, 8
 # By what power of a factor on the intensity the variance of d̂ grows, about.
 _POWER = 0.75
-
 # Factors on the intensity with which jumps of held-out rows are found.
 _LIVELY = (1e8, 1e5, 1e3, 10.0, 1.0)
 # What wanders by more than this part of a jump is jumps that were too small to be found. A jump is seen in full so many
@@ -127,20 +126,14 @@ def fit_class(problem: Problem, trajectory: Array, step_of: ParameterStep, *, cl
         if before is not None and _same(before, noise, step, np.sqrt(np.diag(covariance))):
             break
         theta, before = theta + step, noise
-    held, search = about.pieces(slice(problem.trained, None))
-    samples = int(np.isfinite(held.whole.misfit).sum())
-    told, events = noise.cut(held, problem.layout), Events()
-    # A calm filter is lost after a jump that is not known yet, and finds no other one.
-    for lively in _LIVELY:
-        faster = replace(noise, log_intensity=noise.log_intensity + np.log(lively))
-        events = search.within(faster.cut(held, problem.layout), events)
+    held_out, samples = _held_out(about, noise)
     return ClassFit(
         problem=problem,
         noise=noise,
         parameters=at_best,
         covariance=covariance,
         trajectory=trajectory,
-        held_out=likelihood(told, problem.layout, search.columns, events).value - events.costs,
+        held_out=held_out,
         held_samples=samples,
         raised=_raised(about, noise),
     )
@@ -150,6 +143,21 @@ def _explained(known: Linearised, noise: NoiseFit) -> Explained:
     """Return all rows with their events; the seams of pieces are as good as a trajectory to linearise about needs."""
     search = known.search(slice(None))
     return explained(_cut(known, noise), search.columns, search.spacing, search.first, noise.events)
+
+
+def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
+    """Return the log-likelihood of the held-out samples, less the costs of their events, and how many there are."""
+    problem = about.problem
+    if problem.trained == len(about.trajectory):
+        return 0.0, 0
+    held, search = about.pieces(slice(problem.trained, None))
+    told, events = noise.cut(held, problem.layout), Events()
+    # A calm filter is lost after a jump that is not known yet, and finds no other one.
+    for lively in _LIVELY:
+        faster = replace(noise, log_intensity=noise.log_intensity + np.log(lively))
+        events = search.within(faster.cut(held, problem.layout), events)
+    value = likelihood(told, problem.layout, search.columns, events).value - events.costs
+    return value, int(np.isfinite(held.whole.misfit).sum())
 
 
 def _cut(known: Linearised, noise: NoiseFit) -> CutRecord:

@@ -111,11 +111,10 @@ def _most_likely(record: CutRecord, layout: Layout, columns: Jumps, events: Even
 
 
 def _covariance(record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array) -> Array:
-    """Return the inverse of the curvature there, by differences of slopes; directions that are not told have ∞."""
+    """Return the inverse of the curvature there, by differences of slopes; of what is not told, _FARTHEST²."""
     rows = []
     for direction in np.eye(len(at)) * _STEP:
         up, down = (_told(record, layout, columns, events, at + sign * direction) for sign in (1.0, -1.0))
         rows.append((down.slopes - up.slopes) / (2.0 * _STEP))
     sizes, axes = np.linalg.eigh(0.5 * (np.array(rows) + np.array(rows).T))
-    with np.errstate(divide="ignore"):
-        return np.asarray((axes / np.maximum(sizes, 1.0 / _FARTHEST**2)) @ axes.T)
+    return np.asarray((axes / np.maximum(sizes, 1.0 / _FARTHEST**2)) @ axes.T)
