@@ -91,11 +91,14 @@ class CutRecord:
         variance (K,p): of the samples
         jumps: columns (N,·) that are added to the factor of P⁻ at an instant
         """
-        pieces = self.pieces
-        told = replace(self.parts, variance=variance[pieces.rows])
-        run = forward(told, pieces.placed(jumps))
-        adjoint = backward(told, run)
-        return Forward(*_joined(pieces, run)), Adjoint(*_joined(pieces, adjoint))
+        _, run, adjoint = self.passes_of_pieces(variance, jumps)
+        return Forward(*_joined(self.pieces, run)), Adjoint(*_joined(self.pieces, adjoint))
+
+    def passes_of_pieces(self, variance: Array, jumps: Mapping[int, Array]) -> tuple[LinearRecord, Forward, Adjoint]:
+        """Return the pieces with these variances, and what filter and adjoint find in each, (L,S,…)."""
+        told = replace(self.parts, variance=variance[self.pieces.rows])
+        run = forward(told, self.pieces.placed(jumps))
+        return told, run, backward(told, run)
 
 
 def _joined(pieces: Pieces, found: Forward | Adjoint) -> list[Array]:

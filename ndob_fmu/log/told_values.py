@@ -28,6 +28,15 @@ def told_values(equations: Equations, given: Mapping[str, Any]) -> dict[str, Any
     return values
 
 
+def ignored(line: str) -> None:
+    """Take a warning about the values, which `estimate` gives too."""
+
+
+def start_values_text(values: Mapping[str, Any]) -> str:
+    """Return the content of a file that `read_start_values` reads."""
+    return json.dumps(values, indent=2) + "\n"
+
+
 def read_start_values(path: Path) -> dict[str, Any]:
     """Return the start values of a JSON file: an object of names and values.
 

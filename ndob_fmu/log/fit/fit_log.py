@@ -15,7 +15,7 @@ from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
 from ndob_fmu.log.fit.pace import rates_for
 from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
-from ndob_fmu.log.told_values import told_values
+from ndob_fmu.log.told_values import start_values_text, told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.tuned import Tuned
@@ -103,7 +103,7 @@ def fit_log(
     begin("fitting noise, disturbance and parameters")
     fitted = _fitted(setup, run, given)
     with atomic_folder(folder) as new:
-        (new / FIT).write_text(json.dumps(fitted.start_values, indent=2) + "\n", "utf-8")
+        (new / FIT).write_text(start_values_text(fitted.start_values), "utf-8")
         (new / SUMMARY).write_text(json.dumps(asdict(fitted), indent=2) + "\n", "utf-8")
     return fitted
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ndob_fmu.log.events import Events, Jumps, with_outliers
 from ndob_fmu.log.pieces import CutRecord
-from ndob_fmu.log.smoother import LinearRecord, backward, forward
+from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -47,10 +47,7 @@ def scaled(record: LinearRecord, layout: Layout, variance: Array, intensity: Arr
 
 def likelihood(record: CutRecord, layout: Layout, columns: Jumps, events: Events) -> Likelihood:
     """Return the likelihood of a record with events; columns: J of jumps."""
-    pieces = record.pieces
-    told = replace(record.parts, variance=with_outliers(record.whole.variance, events)[pieces.rows])
-    run = forward(told, pieces.placed(columns.at(events.jumps)))
-    adjoint = backward(told, run)
+    told, run, adjoint = record.passes_of_pieces(with_outliers(record.whole.variance, events), columns.at(events.jumps))
     of_disturbance = _by_direction(told.noise, layout)[..., : layout.q, :]
     g = np.moveaxis(of_disturbance, -3, -1)  # (K - 1,S,q2,N,N): columns in rows
     of_state, of_variance = adjoint.of_state[1:, :, None], adjoint.of_state_variance[1:, :, None]

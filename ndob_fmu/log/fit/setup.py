@@ -20,6 +20,7 @@ from ndob_fmu.log.online import Stretch, along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smooth_log import forgotten_rows
+from ndob_fmu.log.told_values import ignored
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations
@@ -156,12 +157,8 @@ class Setup:
         """Return the observer for values, with no uncertain parameters."""
         eq = self.equations
         known = {f"{name}_std": 0.0 for name in eq.parameters}
-        return told_observer(eq, {**values, **known}.__getitem__, _ignore)
+        return told_observer(eq, {**values, **known}.__getitem__, ignored)
 
     def _prior(self, name: str, value: float) -> float:
         told = float(self.values[f"{name}_std"])
         return told or _OPEN * abs(value) or 1.0
-
-
-def _ignore(line: str) -> None:
-    """Take a warning that `estimate` gives too."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.log.fit.fit_log import FIT
+from ndob_fmu.log.told_values import start_values_text
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.support.files import atomic_path
 
@@ -64,7 +64,7 @@ def save(folder: Path, start_values: Mapping[str, Any]) -> Path:
     """Write start values as `fit` does; return the path. Raises UsageError if the folder cannot be written."""
     path = folder / FIT
     with atomic_path(path) as new:
-        new.write_text(json.dumps(start_values, indent=2) + "\n", "utf-8")
+        new.write_text(start_values_text(start_values), "utf-8")
     return path
 
 

@@ -27,7 +27,7 @@ from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, forgotten_rows, noise_variance
 from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, smoothed
-from ndob_fmu.log.told_values import told_values
+from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.tune.settings import Settings, settings_of
 from ndob_fmu.model.model import Model
@@ -154,7 +154,7 @@ class Workbench:
 
     def _observer(self, settings: Settings) -> SampledObserver:
         values = {**self._values, **settings.start_values(self.equations)}
-        return told_observer(self.equations, values.__getitem__, _ignore)
+        return told_observer(self.equations, values.__getitem__, ignored)
 
     def _tuned(self, settings: Settings) -> tuple[SampledObserver, Tuned]:
         """Return the observer for settings, and what it is tuned to. The lag counts only as one that is there."""
@@ -277,7 +277,3 @@ def _with(model: FilterModel, trajectory: Array, run: Forward, adjoint: Adjoint)
     found = smoothed(run, adjoint)
     variance = np.diagonal(found.covariance[:, d, d], axis1=1, axis2=2)
     return Band(trajectory[:, d] + found.xi[:, d], np.minimum(np.sqrt(np.maximum(variance, 0.0)), model.bound))
-
-
-def _ignore(line: str) -> None:
-    """Take a warning that `estimate` gives too."""
