@@ -9,9 +9,11 @@ The result equals what was given exactly: nothing is linearised.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sympy
+
+from ndob_fmu.model.expressions import same_matrix
 
 Symbols = Sequence[sympy.Symbol]
 _LONG = 300  # operations: longer expressions are compared as they stand, without transformations
@@ -80,6 +82,19 @@ def split(
         direction=direction,
         output_rest=tuple(output_rest),
     )
+
+
+def with_known_part(parts: AffineSplit, known: Sequence[sympy.Expr], variables: set[sympy.Symbol]) -> AffineSplit:
+    """Return the parts of ẋ with d + known (q2,) in place of d; `variables`: the states and inputs."""
+    varying = bool(parts.G_d.free_symbols & variables)
+    if not varying and (not parts.f or same_matrix(parts.G_f, parts.G_d)):
+        f = parts.f or (sympy.S.Zero,) * len(known)
+        return replace(parts, G_f=parts.G_d, f=tuple(one + more for one, more in zip(f, known, strict=True)))
+    rest = parts.G_d * sympy.Matrix(known)
+    if parts.f:
+        rest += parts.G_f * sympy.Matrix(parts.f)
+    G_f, f = _channels(list(rest), sympy.Matrix(parts.G_d), variables, may_match=False)
+    return replace(parts, G_f=G_f, f=f)
 
 
 def _affine_in(expressions: Sequence[sympy.Expr], d: Symbols) -> tuple[list[sympy.Expr], sympy.Matrix]:

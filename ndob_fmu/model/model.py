@@ -19,7 +19,7 @@ import sympy
 
 from ndob_fmu.errors import ModelError, UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import reserved_names
-from ndob_fmu.model.affine_split import AffineSplit
+from ndob_fmu.model.affine_split import AffineSplit, with_known_part
 from ndob_fmu.model.checks import (
     by_name,
     for_each,
@@ -37,6 +37,7 @@ from ndob_fmu.model.checks import (
     require_text,
 )
 from ndob_fmu.model.defaults import require_defaults
+from ndob_fmu.model.disturbance_map import DisturbanceMap, read_maps
 from ndob_fmu.model.expressions import Expressions, Function, Nonlinearity, same_matrix
 from ndob_fmu.model.reading import MATRIX_FORM, read_dynamics, read_matrices, require_one_form
 from ndob_fmu.model.vector_field import VectorField
@@ -88,6 +89,9 @@ class Model:
     channel: n(x, u, p) returns k SymPy expressions, the direction in which the one disturbance acts
     channel_bound: bound of each |n_j|, one number or k; 1 by default
     channel_rate: Ω (rad/s), how fast n changes along a motion: its i-th time derivative is at most Ω^i times the bound
+    disturbance_map: which part of a disturbance is a function of states, {disturbance: {state: "friction" or "place"}};
+        its coefficients are parameters, with the start value 0 until `fit` tells them
+    maps: the terms and parameters of these functions
     parts: ẋ and y taken apart into matrices, f, n and what is left, in the model's symbols
     output_equations: the mapping that `outputs` was, where it was one
 
@@ -129,6 +133,8 @@ class Model:
     output_equations: Mapping[str, Any] | None = field(default=None, repr=False)
     ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)
     disturbance_nominal: float | Sequence[float] = 0.0
+    disturbance_map: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    maps: tuple[DisturbanceMap, ...] = field(init=False, repr=False)
     parts: AffineSplit = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -228,8 +234,9 @@ class Model:
         for group in ("states", "inputs", "outputs", "disturbances"):
             names = require_names(f"{self.name}.{group}", getattr(self, group), may_be_empty=group == "inputs")
             self._set(group, names)
+        self._set("maps", read_maps(self.name, self.disturbance_map, self.states, self.disturbances))
         for mapping in ("parameters", "units", "descriptions"):
-            self._set(mapping, MappingProxyType(dict(getattr(self, mapping))))
+            self._set(mapping, MappingProxyType(self._of_maps(mapping) | dict(getattr(self, mapping))))
         known = require_distinct_names(
             self.name,
             {group: getattr(self, group) for group in ("states", "inputs", "disturbances", "parameters")},
@@ -242,6 +249,13 @@ class Model:
             require_text(f"{self.name}, text of {name}", text)
         for name, value in self.parameters.items():
             self._require_finite_parameter(name, value)
+
+    def _of_maps(self, mapping: str) -> dict[str, Any]:
+        """Return the start values, units or descriptions of the parameters of all maps."""
+        if mapping == "units":
+            like = {name: other for one in self.maps for name, other in one.like.items()}
+            return {name: self.units[other] for name, other in like.items() if other in self.units}
+        return {name: value for one in self.maps for name, value in getattr(one, mapping).items()}
 
     def _require_finite_parameter(self, name: str, value: object) -> None:
         require_finite(f"parameter {name!r} of {self.name}", value)
@@ -264,12 +278,21 @@ class Model:
             bounded = self.channel_bound is not None
             self._set("parts", read_dynamics(read, names, self.dynamics, outputs, channel=bounded))
         self._check_channel()
+        if self.maps:
+            known = {one.disturbance: one.expression for one in self.maps}
+            through = [known.get(name, sympy.S.Zero) for name in self.disturbances]
+            variables = {self.symbols[name] for name in (*self.states, *self.inputs)}
+            self._set("parts", with_known_part(self.parts, through, variables))
 
     def _check_channel(self) -> None:
         if not self.channel_expressions:
             self._refuse_channel_fields()
             return
         require_one_disturbance(self.name, self.disturbances)
+        if self.maps:
+            raise ModelError.report(
+                f"{self.name}.disturbance_map", expected="a plant without a channel", received="a channel"
+            )
         require_not_negative(f"{self.name}.channel_rate", self.channel_rate, " (rad/s)")
         if np.any(self.disturbance_nominal):
             raise ModelError.report(
