@@ -14,7 +14,15 @@ from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.translate.print_c import Translation, translate
 
 _HERE = Path(__file__).parent
-_ARRAYS = ("nd.h", "nd.c", "nd_linear.c", "nd_random.c")
+_HEADERS = ("nd.h", "nd_loops.h", "nd_pairs.h", "nd_linear.h")
+_ARRAYS = (
+    *(f"nd_{name}.c" for name in ("memory", "views", "make", "entries", "forms", "entrywise", "along", "products")),
+    *(f"nd_{name}.c" for name in ("numbers", "solve", "reflections", "random")),
+)
+# Only few designs call these.
+_SELDOM = ("nd_rotations.c", "nd_eigenvalues.c")
+# The C files on arrays, which include the headers beside them.
+ARRAY_FILES = tuple(_HERE / "c" / name for name in (*_ARRAYS, *_SELDOM))
 
 
 def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
@@ -34,8 +42,13 @@ def runtime_texts(
     """
     only = tuple(f"{module}.{name}" for module, names in wanted.items() for name in names)
     translation = _translation(tuple(wanted), only, tuple(copied), tuple(stored))
-    arrays = [(_HERE / "c" / name).read_text("utf-8") for name in _ARRAYS]
-    return [*arrays, translation.header, SHORT_CODE, translation.source, AS_BEFORE]
+    fast = [_text(name) for name in (*_HEADERS, *_ARRAYS)]
+    short = [_text(name) for name in _SELDOM]
+    return [*fast, translation.header, SHORT_CODE, *short, translation.source, AS_BEFORE]
+
+
+def _text(name: str) -> str:
+    return (_HERE / "c" / name).read_text("utf-8")
 
 
 @cache

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ndob_fmu.native.runtime_code import ARRAY_FILES
 from ndob_fmu.native.translate import kinds
 from ndob_fmu.native.translate.conversions import c_name
 from ndob_fmu.native.translate.kinds import c_type, is_nd, is_numbers
@@ -28,7 +29,7 @@ from ndob_fmu.native.translate.program import Definition
 from ndob_fmu.runtime import base_errors
 from ndob_fmu.runtime.memo import SharedResults
 
-SOURCES = Path(__file__).parents[2] / "ndob_fmu" / "native" / "c"
+SOURCES = ARRAY_FILES[0].parent
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 MEMORY = 1 << 26
 ERRORS = (
@@ -88,7 +89,7 @@ class Library:
         (folder / "translated.h").write_text(translation.header, "utf-8")
         (folder / "translated.c").write_text(translation.source, "utf-8")
         (folder / "bridge.c").write_text(bridge(functions), "utf-8")
-        sources = [folder / "translated.c", folder / "bridge.c", SOURCES / "nd.c", SOURCES / "nd_linear.c"]
+        sources = [folder / "translated.c", folder / "bridge.c", *ARRAY_FILES]
         command = [
             compiler(),
             *FLAGS,

@@ -62,7 +62,7 @@ FUNCTIONS: dict[str, Known] = {
     "math.factorial": Known("nd_factorial", (INT,), FLOAT, memory=False),
     "math.pow": Known("pow", (FLOAT, FLOAT), FLOAT, memory=False),
 }
-# Functions of the runtime that are written by hand in nd.c, beside their twins in Python.
+# Functions of the runtime that are written by hand in native/c, beside their twins in Python.
 BY_HAND: dict[tuple[str, str], Known] = {
     ("ndob_fmu.runtime.numerics.kalman", "triangular"): Known("nd_triangular", _ONE, ARRAY),
     ("ndob_fmu.runtime.numerics.kalman", "_lower"): Known("nd_tri", (INT,), Array(BOOL)),

@@ -1,0 +1,110 @@
+/* The block of memory, and how results move in it. */
+#include "nd_loops.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+
+enum { ND_ALIGNMENT = 16 };
+
+void nd_start(nd_arena *a, void *block, size_t bytes) {
+    uintptr_t odd = (uintptr_t)block % ND_ALIGNMENT, skipped = odd ? ND_ALIGNMENT - odd : 0;
+    memset(a, 0, sizeof *a);
+    a->base = (char *)block + skipped;
+    a->size = bytes > skipped ? bytes - skipped : 0;
+}
+
+void *nd_take_bytes(nd_arena *a, size_t bytes) {
+    void *p = a->base + a->used;
+    bytes = (bytes + ND_ALIGNMENT - 1) / ND_ALIGNMENT * ND_ALIGNMENT;
+    if (bytes > a->size - a->used) longjmp(*a->full, 1);
+    a->used += bytes;
+    if (a->used > a->high) a->high = a->used;
+    return p;
+}
+
+void nd_raise(nd_arena *a, int error, const char *format, ...) {
+    char text[ND_MESSAGE]; /* the message of the error before may be an argument */
+    va_list arguments;
+    a->error = error;
+    va_start(arguments, format);
+    (void)vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    memcpy(a->message, text, sizeof text);
+}
+
+static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) {
+    uintptr_t at = (uintptr_t)p, base = (uintptr_t)a->base;
+    return at >= base + from && at < base + to;
+}
+
+/* Whether a function keeps what it took since a mark, because there is room for four times as much: to give it back takes
+   copies of its result. */
+bool nd_has_room(const nd_arena *a, size_t mark) { return !a->tight && 4 * (a->used - mark) <= a->size - a->used; }
+
+bool nd_was_tight(nd_arena *a) {
+    bool tight = a->tight;
+    a->tight = true;
+    return tight;
+}
+
+nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, 1}; }
+
+/* The one pass of a copy into another block. */
+nd_keeping nd_copy_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, 3}; }
+
+void nd_keep_end(nd_keeping *k) {
+    size_t bytes = k->a->used - k->top;
+    memmove(k->a->base + k->mark, k->a->base + k->top, bytes);
+    k->a->used = k->mark + bytes;
+}
+
+/* First pass: copy a block that would be given back behind all others. Returns whether a pass copies. */
+bool nd_keep_block(nd_keeping *k, void **p, size_t bytes) {
+    if (bytes && (k->pass == 3 || (k->pass == 1 && is_inside(k->a, *p, k->mark, k->top)))) {
+        void *copy = nd_take_bytes(k->a, bytes);
+        memcpy(copy, *p, bytes);
+        *p = copy;
+    }
+    return k->pass != 2;
+}
+
+/* Second pass: point to where `nd_keep_end` moves the copy. */
+void nd_keep_shift(nd_keeping *k, void **p) {
+    if (k->pass == 2 && is_inside(k->a, *p, k->top, k->a->used)) *p = (char *)*p - (k->top - k->mark);
+}
+
+void nd_keep_array(nd_keeping *k, nd *x) {
+    void *p;
+    if (!*x) return;
+    if (k->pass != 2) {
+        if (k->pass == 3 || is_inside(k->a, (*x)->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
+        else if (is_inside(k->a, *x, k->mark, k->top)) *x = nd_same_view(k->a, *x);
+        return;
+    }
+    if (!is_inside(k->a, *x, k->top, k->a->used)) return;
+    p = (*x)->p;
+    nd_keep_shift(k, &p);
+    (*x)->p = p;
+    p = *x;
+    nd_keep_shift(k, &p);
+    *x = p;
+}
+
+/* Whether the numbers follow their view, as `nd_new` puts them. */
+static bool is_whole(nd x) { return (void *)x->p == (void *)(x + 1) && nd_is_compact(x); }
+
+nd nd_keep(nd_arena *a, size_t mark, nd x) {
+    if (nd_has_room(a, mark)) return x;
+    nd_keeping k = {a, mark, a->used, 1};
+    if (x && is_inside(a, x, mark, a->used) && is_whole(x)) {
+        size_t bytes = sizeof *x + (size_t)nd_size(x) * sizeof(double);
+        memmove(a->base + mark, x, bytes);
+        a->used = mark;
+        x = nd_take_bytes(a, bytes);
+        x->p = (double *)(void *)(x + 1);
+        return x;
+    }
+    for (; k.pass <= 2; k.pass++) nd_keep_array(&k, &x);
+    nd_keep_end(&k);
+    return x;
+}
