@@ -165,6 +165,8 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols, ranges: Ranges) -
     )
     update = correction(rhs, delta, y, _rows(gain, outputs))
     e = tuple(symbol for symbol, _ in update.innovations)
+    # Names of their own, because a square would be printed as a power, which costs as much as a sine.
+    weighted = symbols("n", outputs)
     d_1, d_at = delta[:q], symbols("o", q)
     prediction, at_end = _prediction(rhs, delta, ranges)
     # A sample that inputs are fed through to needs what is computed of them.
@@ -188,9 +190,10 @@ def _observer_step(rhs: RightHandSide, u: Symbols, p: Symbols, ranges: Ranges) -
         If(Not(inside_gate), (Fail(),)),
         *(If(Not(Within(-LARGEST, symbol, LARGEST)), (Fail(),)) for symbol in u if symbol.name not in ranges),
         *_within_ranges(u, u, ranges),
+        *assignments(zip(weighted, (error * share for error, share in zip(e, weight, strict=True)), strict=True)),
         *assignments(
-            (average, average + sympy.Float(1.0 / MEMORY) * (error * error * share - average))
-            for average, error, share in zip(squares, e, weight, strict=True)
+            (average, average + sympy.Float(1.0 / MEMORY) * (error * one - average))
+            for average, error, one in zip(squares, e, weighted, strict=True)
         ),
         *assignments(update.corrected),
         Keep("_at", (*rhs.x, *delta)),

@@ -13,7 +13,9 @@ static void append_count(char *line, size_t size, double count) {
 }
 
 static bool is_accessed_as(uint32_t reference, char type) {
-    return reference < fmu.count && accessed_as(fmu.variables[reference].type) == type;
+    if (reference >= fmu.count) return false;
+    char own = fmu.variables[reference].type;
+    return own == type || accessed_as(own) == type;
 }
 
 static void say_unreadable(Instance *self, const char *function, uint32_t reference, char type) {
