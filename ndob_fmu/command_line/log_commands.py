@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ndob_fmu.command_line.options import MODEL_HELP, Commands, add_command, assignments, pairs
+from ndob_fmu.command_line.options import MODEL_HELP, NATIVE, Commands, add_command, assignments, pairs
 from ndob_fmu.support.extras import extra
 from ndob_fmu.support.progress import PATIENCE, shown_after
 
@@ -114,7 +114,7 @@ def _tune(options: argparse.Namespace) -> int:
     from ndob_fmu.model.loading import load_model
 
     with shown_after(PATIENCE):
-        workbench = Workbench(load_model(options.model), options.log, **_told(options))
+        workbench = Workbench(load_model(options.model), options.log, native=NATIVE / "fmus", **_told(options))
     server = page_server(workbench, options.log.name, options.out or Path("results", options.log.stem))
     print(f"{address(server)}: settings for {options.log}; Ctrl-C ends it", flush=True)
     if not options.no_browser:
@@ -149,7 +149,7 @@ def _estimate(options: argparse.Namespace) -> int:
     from ndob_fmu.model.loading import load_model
 
     out = options.out or Path("results", options.log.stem)
-    estimated = estimate_log(load_model(options.model), options.log, out, **_told(options))
+    estimated = estimate_log(load_model(options.model), options.log, out, native=NATIVE / "fmus", **_told(options))
     print(_text(estimated))
     print(f"{out}: result.csv, summary.json and figures; `ndob-fmu report {out}` makes a page of them")
     return 0
@@ -162,7 +162,7 @@ def _text(found: Estimated) -> str:
         f"jitter {100.0 * found.jitter:.2g} %",
         f"  {found.gaps} gaps, {rows.merged} rows of a time that was there before, {rows.missing_samples} samples and "
         f"{rows.missing_inputs} inputs missing",
-        f"  estimate valid in {100.0 * found.valid:.1f} % of the rows"
+        f"  estimate of the {found.build} observer, valid in {100.0 * found.valid:.1f} % of the rows"
         + ("" if found.jumps is None else f"; the smoother found {found.jumps} jumps and {found.outliers} outliers"),
     ]
     for name, output in found.diagnoses.items():

@@ -14,6 +14,7 @@ from ndob_fmu.command_line.options import (
     BUILD,
     DEMO_MODEL,
     MODEL_HELP,
+    NATIVE,
     Commands,
     add_command,
     as_json,
@@ -25,7 +26,6 @@ from ndob_fmu.support.progress import begin
 if TYPE_CHECKING:
     from ndob_fmu.model.model import Model
 
-NATIVE = BUILD / "native"
 _DEMO_SYSTEM = "open_loop"
 
 
@@ -262,8 +262,8 @@ def build_native_demo(folder: Path) -> Path:
     Raises UsageError where that cannot be done on this machine.
     """
     from ndob_fmu.model.loading import load_model
-    from ndob_fmu.native.build import build_native, this_platform
-    from ndob_fmu.native.compile import PLATFORMS
+    from ndob_fmu.native.build import build_native
+    from ndob_fmu.native.compile import PLATFORMS, this_platform
     from ndob_fmu.packages import build_ssp
     from ndob_fmu.support.shipped import shipped_folder
 

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 from ndob_fmu.errors import UsageError
 
 BUILD = Path("build")
+NATIVE = BUILD / "native"
 DEMO_MODEL = "flexible_joint"
 MODEL_HELP = f"a Python file that defines `model`, or the built-in model {DEMO_MODEL}"
 

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from ndob_fmu.command_line.model_commands import NATIVE, build_demo, build_native_demo
-from ndob_fmu.command_line.options import DEMO_MODEL, Commands, add_command, pairs
+from ndob_fmu.command_line.model_commands import build_demo, build_native_demo
+from ndob_fmu.command_line.options import DEMO_MODEL, NATIVE, Commands, add_command, pairs
 from ndob_fmu.errors import UsageError
 
 

@@ -18,7 +18,8 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.estimate_figures import Thinned, write_figures
 from ndob_fmu.log.log import Found
 from ndob_fmu.log.log_columns import Signals
-from ndob_fmu.log.online import Stretch, along
+from ndob_fmu.log.native_run import native_run
+from ndob_fmu.log.online import Run, Stretch, along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable
 from ndob_fmu.log.smooth_log import SmoothedStretch, can_smooth, smooth, start_samples
@@ -36,12 +37,14 @@ from ndob_fmu.support.progress import begin
 
 # An interval that is so many times the usual one is a gap.
 _GAP = 5.0
+PYTHON, NATIVE = "Python", "native"
 
 
 @dataclass(frozen=True)
 class Estimated:
     """What was found in a log.
 
+    build: of the observer that ran along it, PYTHON or NATIVE
     found: irregularities of its rows
     start_time, stop_time: of its first and last row (s)
     step: the usual interval between two rows (s); jitter: the standard deviation of the intervals over it
@@ -53,6 +56,7 @@ class Estimated:
     warnings: what the samples cannot tell apart
     """
 
+    build: str
     found: Found
     start_time: float
     stop_time: float
@@ -75,12 +79,14 @@ def estimate_log(
     names: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     start_values: Mapping[str, Any] | None = None,
+    native: Path | None = None,
 ) -> Estimated:
     """Run the observer of a model over a log; write result.csv, summary.json and figures into a folder.
 
     names: the model's name for each column of the log that has another one
     units: of columns that are not in the model's unit
     start_values: of the observer's parameters, in place of the model's
+    native: folder of native FMUs; that of this model's observer takes the steps, where it is there, else Python does
 
     All files are written or none. Raises UsageError for a log or values that cannot be used, DesignError and
     AssumptionError where the observer cannot be designed, IntegrationError where its estimate leaves the finite
@@ -104,24 +110,25 @@ def estimate_log(
     before = observer.estimate(observer.init(x_hat), first.outputs[0].tolist())
     table, kept = ResultTable(eq, before, smooths=smooths), Thinned()
     counts, tally = _Counts(), ResidualTally(len(eq.outputs), start_samples(sampled))
-    stretches = along(observer, x_hat, chain([first], blocks))
-    pairs = (
-        smooth(sampled, row_functions(model), x_hat, stretches)
-        if smooths
-        else ((stretch, None) for stretch in stretches)
-    )
 
-    def rows() -> Iterator[Recording]:
-        for stretch, smoothed in pairs:
+    def rows(run: Run | None) -> Iterator[Recording]:
+        stretches = along(observer, x_hat, chain([first], blocks), run)
+        for stretch, smoothed in (
+            smooth(sampled, row_functions(model), x_hat, stretches)
+            if smooths
+            else ((stretch, None) for stretch in stretches)
+        ):
             counts.add(stretch, smoothed)
             tally.add(stretch)
             yield kept.add(table.rows(stretch, smoothed))
             begin(f"estimating, {stretch.log.time[-1]:.6g} s of the log are done")
 
     with atomic_folder(folder) as new:
-        write_csv_parts(new / RESULT, rows())
+        with native_run(model, native, values, observer, x_hat) as run:
+            write_csv_parts(new / RESULT, rows(run))
         diagnoses = dict(zip(eq.outputs, tally.diagnoses(), strict=True))
-        estimated = counts.estimated(diagnoses, _verdicts(eq, values, diagnoses), tuple(warnings), smooths=smooths)
+        verdicts, build = _verdicts(eq, values, diagnoses), PYTHON if run is None else NATIVE
+        estimated = counts.estimated(build, diagnoses, verdicts, tuple(warnings), smooths=smooths)
         write_figures(
             new, kept, _with_units(eq, eq.disturbances), _with_units(eq, eq.outputs), diagnoses, smooths=smooths
         )
@@ -156,6 +163,7 @@ class _Counts:
 
     def estimated(
         self,
+        build: str,
         diagnoses: Mapping[str, OutputDiagnosis],
         verdicts: tuple[str, ...],
         warnings: tuple[str, ...],
@@ -166,6 +174,7 @@ class _Counts:
         count, total, squares = self._sums.tolist()
         mean = total / count
         return Estimated(
+            build=build,
             found=self._found,
             start_time=self._first,
             stop_time=self._last,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from math import ceil
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.log import Log
@@ -84,27 +84,26 @@ def _each(stretch: Stretch, change: Callable[[Array], Array]) -> Stretch:
     return Stretch(stretch.usual, log, change(stretch.step), Online(*map(change, _columns(stretch.online))))
 
 
-def along(observer: Observer[Any], x_hat: Vector, blocks: Iterator[Log]) -> Iterator[Stretch]:
+# run(block, step, usual): what an observer says along the next rows, of steps (K,) s, where the usual one has `usual` s
+Run = Callable[[Log, Array, float], Online]
+
+
+def along(observer: Observer[Any], x_hat: Vector, blocks: Iterator[Log], run: Run | None = None) -> Iterator[Stretch]:
     """Yield the stretches of a log, from x̂₀ (n,). The last row has the usual step.
+
+    run: what takes the observer's steps; none: Python
 
     Raises UsageError for a gap that cannot be bridged, IntegrationError where the estimate leaves the finite numbers,
     DesignError where the observer has no tuning for the usual step of the first block.
     """
+    run = run or _InPython(observer, x_hat)
     block = next(blocks)
     following = next(blocks, None)
     usual = _usual_step(block, following)
-    state = _tuned_for(observer.init(x_hat), usual)
     while True:
         end = block.time[-1] + usual if following is None else following.time[0]
         step = np.diff(block.time, append=end)
-        rows = []
-        for k, H in enumerate(step.tolist()):
-            before = state
-            state, estimate = _step(observer, state, block, k, H, usual)
-            rows.append(_row(_sampled(before), _sampled(state), estimate))
-        said = Online(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
-        said.residual[np.isnan(block.outputs)] = np.nan
-        yield Stretch(usual, block, step, said)
+        yield Stretch(usual, block, step, run(block, step, usual))
         if following is None:
             return
         block, following = following, next(blocks, None)
@@ -116,33 +115,57 @@ def _usual_step(block: Log, following: Log | None) -> float:
     return float(f"{np.median(np.diff(times)):.9g}")
 
 
-def _sampled(state: Any) -> SampledObserverState:
+def parts_of_steps(log: Log, step: Array, usual: float) -> NDArray[np.int_]:
+    """Return in how many parts (K,) the steps from the rows of a log are taken, which over a gap are several.
+
+    Only the first part has a sample. Raises UsageError for a gap that cannot be bridged.
+    """
+    parts = np.ceil(step / (_LONGEST * usual))
+    if parts.max() > _MOST_PARTS:
+        k = int(np.argmax(parts > _MOST_PARTS))
+        raise UsageError.report(
+            f"log at {log.time[k]:.9g} s",
+            expected=f"gaps of at most {_MOST_PARTS} usual steps",
+            received=f"{step[k]:.3g} s without a row",
+            likely="two records in one file, or times in another unit (--unit)",
+        )
+    return np.asarray(parts.astype(np.int_))
+
+
+def sampled(state: Any) -> SampledObserverState:
+    """Return the state of the sampled-data observer in that of any observer of a log."""
     found: SampledObserverState = state.lumped if isinstance(state, ChannelState) else state
     return found
 
 
+class _InPython:
+    """The observer's steps, taken one after the other in Python."""
+
+    def __init__(self, observer: Observer[Any], x_hat: Vector) -> None:
+        self._observer, self._state, self._is_tuned = observer, observer.init(x_hat), False
+
+    def __call__(self, log: Log, step: Array, usual: float) -> Online:
+        """Return what the observer says along the next rows."""
+        if not self._is_tuned:
+            self._state, self._is_tuned = _tuned_for(self._state, usual), True
+        rows, none = [], (np.nan,) * log.outputs.shape[1]
+        each = (log.inputs.tolist(), log.outputs.tolist(), step.tolist(), parts_of_steps(log, step, usual).tolist())
+        for u, y, H, parts in zip(*each, strict=True):
+            before = self._state
+            self._state, estimate = self._observer.step(before, tuple(u), tuple(y), H / parts)
+            for _ in range(parts - 1):
+                self._state, _ = self._observer.step(self._state, tuple(u), none, H / parts)
+            rows.append(_row(sampled(before), sampled(self._state), estimate))
+        said = Online(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
+        said.residual[np.isnan(log.outputs)] = np.nan
+        return said
+
+
 def _tuned_for(state: Any, usual: float) -> Any:
     """Return the first state of an observer that is tuned for the usual step, not for the first one."""
-    sampled = _sampled(state)
-    sampled = replace(sampled, memory=replace(sampled.memory, tuned_at=usual))
-    return replace(state, lumped=sampled) if isinstance(state, ChannelState) else sampled
-
-
-def _step(observer: Observer[Any], state: Any, log: Log, k: int, H: float, usual: float) -> tuple[Any, Estimate]:
-    """Take the step from a row; one over a gap is taken in parts, of which only the first has a sample."""
-    u, y = tuple(log.inputs[k].tolist()), tuple(log.outputs[k].tolist())
-    parts = ceil(H / (_LONGEST * usual))
-    if parts > _MOST_PARTS:
-        raise UsageError.report(
-            f"log at {log.time[k]:.9g} s",
-            expected=f"gaps of at most {_MOST_PARTS} usual steps",
-            received=f"{H:.3g} s without a row",
-            likely="two records in one file, or times in another unit (--unit)",
-        )
-    state, estimate = observer.step(state, u, y, H / parts)
-    for _ in range(parts - 1):
-        state, _ = observer.step(state, u, (np.nan,) * len(y), H / parts)
-    return state, estimate
+    first = sampled(state)
+    first = replace(first, memory=replace(first.memory, tuned_at=usual))
+    return replace(state, lumped=first) if isinstance(state, ChannelState) else first
 
 
 def _row(

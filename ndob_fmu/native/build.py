@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,22 +21,17 @@ from ndob_fmu.interface.model_variables import observer_variables, plant_variabl
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.model.start_values import started
-from ndob_fmu.native.compile import PLATFORMS
+from ndob_fmu.native.compile import this_platform
 from ndob_fmu.native.components import CODES
 from ndob_fmu.native.controller import controller_code
 from ndob_fmu.native.observer import observer_code
+from ndob_fmu.native.origin import ORIGIN, origin
 from ndob_fmu.native.package import package
 from ndob_fmu.native.plant import plant_code
 from ndob_fmu.native.sources import ComponentCode
 
 _OWN_TEXTS = Path(__file__).parent / "documentation"
 _NEEDS = (_OWN_TEXTS / "externalDependencies.txt").read_text("utf-8")
-
-
-def this_platform() -> str:
-    """Return the name in PLATFORMS of the platform that this process runs on; "" where it is none of them."""
-    system, machine = sys.platform, platform.machine()
-    return next((name for name, one in PLATFORMS.items() if one.runs_here in ((system, machine), (system, ""))), "")
 
 
 def build_native(
@@ -73,7 +66,8 @@ def build_native(
             Path(out, f"{model.name}{part}.fmu"),
             FmuDescription(f"{model.name}{part}", model.description, variables, model.experiment),
             code,
-            _documentation(manual(model, part, variables, needs=_NEEDS), draw_icon(model_icon(model, part))),
+            _documentation(manual(model, part, variables, needs=_NEEDS), draw_icon(model_icon(model, part)))
+            | {ORIGIN: origin(model)},
             platforms=chosen,
             fmi=fmi,
             keep=keep,

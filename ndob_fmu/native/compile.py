@@ -77,6 +77,12 @@ PLATFORMS: Mapping[str, Platform] = {
 _OPTIONS = ("-std=c11", "-O2", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
 
 
+def this_platform() -> str:
+    """Return the name in PLATFORMS of the platform that this process runs on; "" where it is none of them."""
+    system, machine = sys.platform, platform.machine()
+    return next((name for name, one in PLATFORMS.items() if one.runs_here in ((system, machine), (system, ""))), "")
+
+
 def binary(name: str, files: Mapping[str, str], target: str) -> bytes:
     """Return the library of a native FMU for a platform, one of PLATFORMS.
 

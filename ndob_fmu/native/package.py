@@ -33,7 +33,7 @@ def package(
     documentation: files by their path in the archive
     platforms: names in PLATFORMS of the binaries that it carries
     fmi: FMI's version, 2 or 3
-    keep: leave a file as it is that has this description, these sources and binaries for these platforms
+    keep: leave a file as it is that has all of this, and binaries for these platforms
 
     Raises ModelError for an invalid unit, UsageError where a binary cannot be compiled or the folder not be written.
     """
@@ -51,7 +51,7 @@ def package(
         target: f"binaries/{PLATFORMS[target].folders[fmi - 2]}/{fmu.name}{PLATFORMS[target].suffix}"
         for target in platforms
     }
-    if keep and _has(path, contents, libraries.values()):
+    if keep and _has(path, contents | dict(documentation), libraries.values()):
         return path
     for target, library in libraries.items():
         contents[library] = binary(fmu.name, files, target)

@@ -86,6 +86,8 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
     ]
     if fmi == 3:
         parts.append(_unsupported_of_fmi3())
+    elif code.sizes_state:
+        parts.append(_without_local_includes(SHELL / "many_steps.c"))
     headers = {file: (HEADERS / file).read_text("utf-8") for file in _HEADER_FILES[fmi]}
     return {f"{name}.c": "\n".join(parts), **headers}
 

@@ -93,7 +93,7 @@ ALLOWED = {
     "native": (*LEAVES, "runtime", "interface", "model", "codegen", "analysis", "fmu"),
     "results": LEAVES,
     "cosim": (*LEAVES, "runtime.base_errors", "results"),
-    "log": (*LEAVES, "runtime", "interface", "model", "codegen", "results"),
+    "log": (*LEAVES, "runtime", "interface", "model", "codegen", "native", "results"),
     "study": (*LEAVES, "results", "cosim"),
     "report": (*LEAVES, "results", "study"),
     "packages": (*LEAVES, "fmu", "native", "cosim"),

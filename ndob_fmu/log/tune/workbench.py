@@ -21,6 +21,7 @@ from ndob_fmu.log.along import Samples, Start, in_layout, record_along
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.events import Events, Explained, Jumps, explained, with_events
 from ndob_fmu.log.log_columns import Signals
+from ndob_fmu.log.native_run import native_run
 from ndob_fmu.log.online import along
 from ndob_fmu.log.pieces import CutRecord, cut_record
 from ndob_fmu.log.read_log import read_log
@@ -88,9 +89,9 @@ class _Linear:
 class Workbench:
     """A log, which `shown` filters with any settings. It remembers what is costly. Not for several threads at once.
 
-    Only the first 30 000 rows are read. Raises UsageError for a log or values that cannot be used, DesignError and
-    AssumptionError where the observer cannot be designed, IntegrationError where its estimate leaves the finite
-    numbers.
+    Only the first 30 000 rows are read; `native` is as in `estimate_log`. Raises UsageError for a log or values that
+    cannot be used, DesignError and AssumptionError where the observer cannot be designed, IntegrationError where its
+    estimate leaves the finite numbers.
     """
 
     def __init__(
@@ -101,6 +102,7 @@ class Workbench:
         names: Mapping[str, str] | None = None,
         units: Mapping[str, str] | None = None,
         start_values: Mapping[str, Any] | None = None,
+        native: Path | None = None,
     ) -> None:
         self.equations = eq = compile_model(model)
         self._values = told_values(eq, start_values or {})
@@ -120,7 +122,8 @@ class Workbench:
         block = next(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
         begin(f"running the observer along {len(block.time)} rows of the log")
         self._x_hat = values_of(self._values.__getitem__, eq.states, "_hat_start")
-        self.stretch = next(along(observer, self._x_hat, iter([block])))
+        with native_run(model, native, self._values, observer, self._x_hat) as run:
+            self.stretch = next(along(observer, self._x_hat, iter([block]), run))
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)

@@ -1,0 +1,108 @@
+"""The observer along a log by a native FMU of the same model: many rows in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import fields, is_dataclass
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ndob_fmu.log.log import Log
+from ndob_fmu.log.online import Online, parts_of_steps, sampled
+from ndob_fmu.model.model import Model
+from ndob_fmu.native.many_steps import NativeObserver, native_observer
+from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.equations import Vector
+from ndob_fmu.runtime.step.observer import Observer
+
+# Steps whose results are in memory at once, but for those over one gap.
+_AT_ONCE = 20_000
+
+
+class NativeRun:
+    """Takes the steps of an observer by its native twin, which has the same parameters: `online.Run`."""
+
+    def __init__(self, observer: Observer[Any], x_hat: Vector, native: NativeObserver) -> None:
+        self._native, first = native, sampled(observer.init(x_hat))
+        places = _numbered(first, count())
+        sensors = places.memory.sensors
+        self._tuned_at, self._is_tuned = places.memory.tuned_at, False
+        self._read = np.array(
+            [*places.xi_hat, *(one.noise_ratio for one in sensors), *(one.refused for one in sensors)], dtype=np.uint32
+        )
+        self._states, self._size = len(x_hat), len(first.xi_hat)
+        self._before = np.array([*first.xi_hat, *(one.noise_ratio for one in first.memory.sensors)], dtype=float)
+
+    def __call__(self, log: Log, step: Array, usual: float) -> Online:
+        """Return what the observer says along the next rows."""
+        parts = parts_of_steps(log, step, usual)
+        groups = np.flatnonzero(np.diff(np.cumsum(parts) // _AT_ONCE)) + 1
+        said, after = [], []
+        for rows in np.split(np.arange(len(step)), groups):
+            given = {} if self._is_tuned else {self._tuned_at: usual}
+            each = np.repeat(rows, parts[rows])
+            ends = np.cumsum(parts[rows])
+            begins = ends - parts[rows]
+            inputs = np.column_stack([log.inputs[each], np.full((len(each), log.outputs.shape[1]), np.nan)])
+            inputs[begins, log.inputs.shape[1] :] = log.outputs[rows]
+            outputs, numbers = self._native.steps((step / parts)[each], inputs, self._read, given)
+            self._is_tuned = True
+            said.append(outputs[begins])
+            after.append(numbers[ends - 1])
+        return self._online(np.concatenate(said), np.concatenate(after), np.isnan(log.outputs))
+
+    def _online(self, outputs: Array, after: Array, missing: Array) -> Online:
+        """Return it from the outputs of the FMU (K,·) and the numbers of its state behind each step (K,·)."""
+        n, p = self._states, missing.shape[1]
+        q = (outputs.shape[1] - n - 2 * p - 2) // 5
+        ends = np.cumsum([n, q, q, q, q, q, p, p, 1])
+        x_hat, d_hat, d_at_sample, d_std, d_lagged, d_lagged_std, residual, residual_std, valid, consistency = np.split(
+            outputs, ends, axis=1
+        )
+        before = np.concatenate([self._before[None], after[:-1, : self._size + p]])
+        self._before = after[-1, : self._size + p]
+        return Online(
+            predicted=before[:, : self._size],
+            x_hat=x_hat,
+            d_hat=d_hat,
+            d_at_sample=d_at_sample,
+            d_std=d_std,
+            d_lagged=d_lagged,
+            d_lagged_std=d_lagged_std,
+            residual=np.where(missing, np.nan, residual),
+            residual_std=residual_std,
+            noise_ratio=before[:, self._size :],
+            refused=after[:, self._size + p :],
+            valid=valid[:, 0],
+            consistency=consistency[:, 0],
+        )
+
+
+@contextmanager
+def native_run(
+    model: Model, folder: Path | None, values: Mapping[str, Any], observer: Observer[Any], x_hat: Vector
+) -> Iterator[NativeRun | None]:
+    """Yield what takes the steps of an observer of a model from x̂₀ (n,), by a native FMU in a folder.
+
+    values: of all parameters, which the observer has
+
+    It is None where `native_observer` finds no FMU.
+    """
+    with nullcontext() if folder is None else native_observer(model, folder, values) as native:
+        yield None if native is None else NativeRun(observer, x_hat, native)
+
+
+def _numbered(value: Any, places: Iterator[int]) -> Any:
+    """Return a part of the state with the place of each of its numbers, where they are written one behind the other."""
+    if is_dataclass(value):
+        return SimpleNamespace(**{one.name: _numbered(getattr(value, one.name), places) for one in fields(value)})
+    if isinstance(value, tuple):
+        return [_numbered(one, places) for one in value]
+    if isinstance(value, np.ndarray):
+        return [next(places) for _ in range(value.size)]
+    return next(places)
