@@ -10,9 +10,10 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.events import Events
+from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.fit.likelihood import likelihood
-from ndob_fmu.log.fit.noise_fit import _scaled
+from ndob_fmu.log.fit.noise_fit import moved
 from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.told_values import told_values
 from tests.log.made_logs import made_log
@@ -37,12 +38,38 @@ def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
     events = Events({200: True, 350: False}, frozenset({(120, 1), (201, 0)}))
 
     def at(logs):
-        return likelihood(_scaled(record, problem.layout, logs), problem.layout, search.columns, events)
+        return likelihood(*moved(record, problem.layout, search.columns, logs), events)
 
     centre, step = np.array([0.4, -0.3, 1.0]), 1e-4
     for i, slope in enumerate(at(centre).slopes):
         up, down = (at(centre + sign * step * np.eye(3)[i]).value for sign in (1.0, -1.0))
-        assert (up - down) / (2.0 * step) == pytest.approx(slope, rel=1e-5)
+        assert (up - down) / (2.0 * step) == pytest.approx(slope, rel=1e-3)
+
+
+def bars(answer, left):
+    """Return the factor on the error bar of a parameter with an answer (R,), where `left` (R,) is left over."""
+    inverse = np.array([[1.0 / np.sum(answer**2)]])
+    return np.sqrt(widened(inverse, inverse, answer[None, None], left[None])[0, 0] / inverse[0, 0])
+
+
+def test_an_error_bar_stays_where_many_rows_tell_it_and_what_is_left_over_is_white():
+    random = np.random.default_rng(1)
+    assert 1.0 <= bars(random.standard_normal(3000), random.standard_normal(3000)) < 1.1
+
+
+def test_an_error_bar_grows_where_what_is_left_over_is_like_the_drive():
+    random, row = np.random.default_rng(2), np.arange(3000)
+    answer = sum(np.sin(2.0 * np.pi * f * row / 3000 + f) for f in range(40, 80))
+    like, unlike = (3.0 * np.sin(2.0 * np.pi * f * row / 3000) for f in (60.5, 300.5))
+    white = random.standard_normal(3000)
+    assert bars(answer, white + like) > 3.0
+    assert bars(answer, white + unlike) < 1.5
+
+
+def test_an_error_bar_is_that_of_a_small_sample_where_few_rows_or_frequencies_tell_it():
+    white, row = np.random.default_rng(3).standard_normal(3000), np.arange(3000)
+    for answer in (np.sin(2.0 * np.pi * 50 * row / 3000), np.where(row < 3, 1.0, 0.0)):
+        assert bars(answer, white) > 1.5
 
 
 @pytest.fixture(scope="module", params=["sine", "steps", "walk"])

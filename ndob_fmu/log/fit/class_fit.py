@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ndob_fmu.log.events import Events, Explained, explained, with_events
-from ndob_fmu.log.fit.likelihood import likelihood
+from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise
 from ndob_fmu.log.fit.problem import Linearised, Problem
 from ndob_fmu.log.pieces import CutRecord, cut, parts_of
@@ -20,9 +20,9 @@ from ndob_fmu.log.smoother import smoothed
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_ROUNDS = 12
-# A round that changes the logarithms of noise and pace by less, and each parameter by less than this part of its
-# standard deviation, is the last one.
-_SAME, _SAME_PARAMETERS = 0.02, 0.1
+# A round that changes each number by less than this part of its standard deviation, and the logarithms of noise and
+# pace by less than this, is the last one.
+_SAME_IN_STD, _SAME = 0.1, 0.02
 # A likelihood that is less than before by more than this shows a step that was too long.
 _LESS = 0.5
 # A step of a parameter, at most, in its prior standard deviations.
@@ -156,7 +156,7 @@ def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
     for lively in _LIVELY:
         faster = replace(noise, log_intensity=noise.log_intensity + np.log(lively))
         events = search.within(faster.cut(held, problem.layout), events)
-    value = likelihood(told, problem.layout, search.columns, events).value - events.costs
+    value = likelihood(Moved(told, search.columns), [], events).value - events.costs
     return value, int(np.isfinite(held.whole.misfit).sum())
 
 
@@ -223,5 +223,5 @@ def _rms(problem: Problem, trajectory: Array) -> float:
 
 
 def _same(before: NoiseFit, after: NoiseFit, step: Array, std: Array) -> bool:
-    moved = [after.log_variance - before.log_variance, after.log_intensity - before.log_intensity]
-    return bool(np.all(np.abs(np.concatenate(moved)) < _SAME) and np.all(np.abs(step) < _SAME_PARAMETERS * std))
+    enough = np.maximum(_SAME, _SAME_IN_STD * np.sqrt(np.diag(after.covariance)))
+    return bool(np.all(np.abs(after.logs - before.logs) < enough) and np.all(np.abs(step) < _SAME_IN_STD * std))

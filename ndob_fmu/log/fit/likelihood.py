@@ -1,66 +1,104 @@
-"""The likelihood of a record for the noise of its samples and the pace of its disturbance, and its slopes.
+"""The likelihood L of a record, its slopes and its information about any numbers ψ that the record depends on.
 
-The record is taken in pieces that begin with a wide covariance, so that their likelihoods add up. The adjoint of each
-piece gives the slopes (`smoother`): with R of a sample and a column g of a step's noise,
+With innovations e and variances α of the samples, and e', α' their slopes by ψ (Gupta and Mehra, 1974),
 
-    ∂L/∂log R = ½ R (u² − D),    ∂L/∂log q = ½ (gᵀλ)² − ½ gᵀΛg
+    L = −½ Σ (log 2πα + e²/α)
+    ∂L/∂ψ = Σ (−e'e/α + ½ (α'/α) (e²/α − 1)),     information = Σ (e'e'ᵀ/α + ½ α'α'ᵀ/α²)
+
+The slopes are differences: the filter runs along all records, each moved by one ψ, side by side. The record is taken in
+pieces that begin with a wide covariance, so that their likelihoods add up.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from ndob_fmu.log.events import Events, Jumps, with_outliers
 from ndob_fmu.log.pieces import CutRecord
-from ndob_fmu.log.smoother import LinearRecord
+from ndob_fmu.log.smoother import LinearRecord, forward
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
 
 @dataclass(frozen=True)
+class Moved:
+    """A record as pieces, and the columns of jumps in it, for one ψ that is moved by `by`."""
+
+    record: CutRecord
+    columns: Jumps
+    by: float = 0.0
+
+
+@dataclass(frozen=True)
 class Likelihood:
-    """L and its slopes.
+    """L, and what each sample says of ψ (m,).
 
     value: L
-    by_log_variance (p,): for a factor on the variances of an output's samples
-    by_log_intensity (q2,): for a factor on the intensity of what drives a disturbance
+    surprise (2p,R): of each output e/√α and (1 − e²/α)/√2, along R rows; without order, and of variance 1 where the
+        model is right
+    answer (m,2p,R): what ψ does to them
     """
 
     value: float
-    by_log_variance: Array
-    by_log_intensity: Array
+    surprise: Array
+    answer: Array
 
     @property
     def slopes(self) -> Array:
-        """Both slopes (p + q2,)."""
-        return np.concatenate([self.by_log_variance, self.by_log_intensity])
+        """∂L/∂ψ (m,)."""
+        return -np.asarray(np.einsum("mcr,cr->m", self.answer, self.surprise))
+
+    @property
+    def information(self) -> Array:
+        """About ψ (m,m)."""
+        return np.asarray(np.einsum("acr,bcr->ab", self.answer, self.answer))
+
+
+def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelihood:
+    """Return the likelihood of a record with events, and what those say that are moved by one ψ each."""
+    every = [centre, *moved]
+    parts = _beside([_told(one.record, events) for one in every])
+    placed = [one.record.pieces.placed(one.columns.at(events.jumps)) for one in every]
+    run = forward(parts, {k: np.stack([jumps[k] for jumps in placed]) for k in placed[0]})
+    there = np.isfinite(run.alpha[:, 0])
+    alpha = np.where(np.isfinite(run.alpha), run.alpha, 1.0)
+    std, by = np.sqrt(alpha[:, 0]), np.array([one.by for one in moved])[:, None, None]
+    e, e_moved = _in_time(run.innovation[:, 0] / std), _of_each(run.innovation[:, 1:] / std[:, None])
+    more = np.where(there[:, None], alpha[:, 1:] / alpha[:, :1] - 1.0, 0.0)
+    return Likelihood(
+        value=float(run.log_likelihoods[:, 0].sum()),
+        surprise=np.concatenate([e, np.where(_in_time(there), 1.0 - e**2, 0.0) * np.sqrt(0.5)]),
+        answer=np.concatenate([(e_moved - e) / by, _of_each(more) * np.sqrt(0.5) / by], axis=1),
+    )
 
 
 def scaled(record: LinearRecord, layout: Layout, variance: Array, intensity: Array) -> LinearRecord:
     """Return a record with factors on the variances (p,) of samples and on the intensities (q2,)."""
     noise = record.noise.copy()
-    _by_direction(noise, layout)[..., : layout.q, :] *= np.sqrt(intensity)[:, None]
+    by_direction = noise.reshape(*noise.shape[:-1], -1, layout.size)  # the columns of each direction
+    by_direction[..., : layout.q, :] *= np.sqrt(intensity)[:, None]
     return replace(record, noise=noise, variance=record.variance * variance)
 
 
-def likelihood(record: CutRecord, layout: Layout, columns: Jumps, events: Events) -> Likelihood:
-    """Return the likelihood of a record with events; columns: J of jumps."""
-    told, run, adjoint = record.passes_of_pieces(with_outliers(record.whole.variance, events), columns.at(events.jumps))
-    of_disturbance = _by_direction(told.noise, layout)[..., : layout.q, :]
-    g = np.moveaxis(of_disturbance, -3, -1)  # (K - 1,S,q2,N,N): columns in rows
-    of_state, of_variance = adjoint.of_state[1:, :, None], adjoint.of_state_variance[1:, :, None]
-    first = np.matmul(g, of_state[..., None])[..., 0] ** 2
-    second = np.sum(np.matmul(g, of_variance) * g, axis=-1)
-    by_sample = told.variance * (adjoint.of_sample**2 - adjoint.of_sample_variance)
-    return Likelihood(
-        value=float(run.log_likelihoods.sum()),
-        by_log_variance=0.5 * by_sample.sum(axis=(0, 1)),
-        by_log_intensity=0.5 * (first - second).sum(axis=(0, 1, 3)),
-    )
+def _told(record: CutRecord, events: Events) -> LinearRecord:
+    return replace(record.parts, variance=with_outliers(record.whole.variance, events)[record.pieces.rows])
 
 
-def _by_direction(noise: Array, layout: Layout) -> Array:
-    """Return a view (…,·,directions,N) of the factors of noise: the columns of each direction."""
-    return noise.reshape(*noise.shape[:-1], -1, layout.size)
+def _beside(records: Sequence[LinearRecord]) -> LinearRecord:
+    """Return records (L,S,…) side by side (L,V,S,…)."""
+    at = {one.name: 0 if one.name in ("start", "start_factor") else 1 for one in fields(LinearRecord)}
+    return LinearRecord(**{name: np.stack([getattr(r, name) for r in records], axis=a) for name, a in at.items()})
+
+
+def _in_time(pieces: Array) -> Array:
+    """Return numbers (L,S,p) of pieces as (p,R), one piece after the other."""
+    return np.asarray(pieces.transpose(2, 1, 0).reshape(pieces.shape[2], -1))
+
+
+def _of_each(pieces: Array) -> Array:
+    """Return numbers (L,V,S,p) of pieces as (V,p,R)."""
+    L, V, S, p = pieces.shape
+    return np.asarray(pieces.transpose(1, 3, 2, 0).reshape(V, p, S * L))

@@ -10,19 +10,21 @@ from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
-from scipy.optimize import minimize
 
 from ndob_fmu.log.events import Events, Jumps, explained
-from ndob_fmu.log.fit.likelihood import Likelihood, likelihood, scaled
+from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood, scaled
 from ndob_fmu.log.pieces import CutRecord
 from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
 _MOST_TURNS = 4
-# Logarithms of variances: of no use beyond, and a record that does not say them ends there.
-_FARTHEST = 40.0
-_STEP = 1e-3
+# Logarithms of variances: of no use beyond. That is the standard deviation of one that a record does not tell, too.
+UNKNOWN = 40.0
+_MOVED = 1e-4
+# Steps to the most likely ones, at most, of at most so much in a logarithm. One that gains less is not worth another,
+# and a likelihood that is less than before by as much shows a step that was too long.
+_MOST_STEPS, _LONGEST, _GAIN = 40, 2.0, 0.02
 # A gain of the log-likelihood that chance does not explain.
 _SURE = 10.0
 
@@ -46,6 +48,11 @@ class NoiseFit:
     value_without: float
 
     @property
+    def logs(self) -> Array:
+        """Both logarithms (p + q2,)."""
+        return np.concatenate([self.log_variance, self.log_intensity])
+
+    @property
     def is_jumping(self) -> bool:
         """Whether jumps explain more than chance."""
         return bool(self.events.jumps) and self.value > self.value_without + _SURE
@@ -56,7 +63,7 @@ class NoiseFit:
 
     def cut(self, record: CutRecord, layout: Layout) -> CutRecord:
         """Return a record in pieces with the noise and pace that were found."""
-        return _scaled(record, layout, np.concatenate([self.log_variance, self.log_intensity]))
+        return _scaled(record, layout, self.logs)
 
 
 @dataclass(frozen=True)
@@ -75,23 +82,31 @@ class EventSearch:
 def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: NoiseFit | None) -> NoiseFit:
     """Return the noise of each output and the pace of each disturbance; `start`: where to begin."""
     p, q = record.whole.variance.shape[1], layout.q
-    at = np.zeros(p + q) if start is None else np.concatenate([start.log_variance, start.log_intensity])
+    at = np.zeros(p + q) if start is None else start.logs
     events, without = (Events(), inf) if start is None else (start.events, start.value_without)
     for turn in range(_MOST_TURNS):
-        at, value = _most_likely(record, layout, search.columns, events, at)
+        at, told = _most_likely(record, layout, search.columns, events, at)
         if start is None and turn == 0:
-            without = value
+            without = told.value
         found = search.within(_scaled(record, layout, at), events)
         if found == events:
             break
         events = found
-    told = _told(record, layout, search.columns, events, at)
-    covariance = _covariance(record, layout, search.columns, events, at)
+    else:
+        told = _told(record, layout, search.columns, events, at)
+    covariance = np.asarray(np.linalg.inv(_precision(told.information)))
     return NoiseFit(at[:p], at[p:], covariance, events, told.value - events.costs, without)
 
 
+def moved(record: CutRecord, layout: Layout, columns: Jumps, at: Array) -> tuple[Moved, list[Moved]]:
+    """Return a record with factors of logarithms (p + q2,) on noise and pace, and with each of these moved."""
+    return Moved(_scaled(record, layout, at), columns), [
+        Moved(_scaled(record, layout, at + step), columns, _MOVED) for step in _MOVED * np.eye(len(at))
+    ]
+
+
 def _told(record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array) -> Likelihood:
-    return likelihood(_scaled(record, layout, at), layout, columns, events)
+    return likelihood(*moved(record, layout, columns, at), events)
 
 
 def _scaled(record: CutRecord, layout: Layout, at: Array) -> CutRecord:
@@ -100,21 +115,24 @@ def _scaled(record: CutRecord, layout: Layout, at: Array) -> CutRecord:
     return replace(record, whole=whole, parts=scaled(record.parts, layout, variance, intensity))
 
 
-def _most_likely(record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array) -> tuple[Array, float]:
-    def negative(x: Array) -> tuple[float, Array]:
-        told = _told(record, layout, columns, events, x)
-        return -told.value, -told.slopes
+def _most_likely(
+    record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array
+) -> tuple[Array, Likelihood]:
+    """Return the most likely logarithms (p + q2,), by steps of Fisher's scoring, and the likelihood about there."""
+    told = _told(record, layout, columns, events, at)
+    for _ in range(_MOST_STEPS):
+        step = np.clip(np.linalg.solve(_precision(told.information), told.slopes), -_LONGEST, _LONGEST)
+        step = np.clip(at + step, -UNKNOWN, UNKNOWN) - at
+        if told.slopes @ step < _GAIN:
+            return at + step, told
+        further = _told(record, layout, columns, events, at + step)
+        while further.value < told.value - _GAIN:
+            step = 0.5 * step
+            further = _told(record, layout, columns, events, at + step)
+        at, told = at + step, further
+    return at, told
 
-    bounds = [(-_FARTHEST, _FARTHEST)] * len(at)
-    found = minimize(negative, at, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-8})
-    return np.asarray(found.x), -float(found.fun)
 
-
-def _covariance(record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array) -> Array:
-    """Return the inverse of the curvature there, by differences of slopes; of what is not told, _FARTHEST²."""
-    rows = []
-    for direction in np.eye(len(at)) * _STEP:
-        up, down = (_told(record, layout, columns, events, at + sign * direction) for sign in (1.0, -1.0))
-        rows.append((down.slopes - up.slopes) / (2.0 * _STEP))
-    sizes, axes = np.linalg.eigh(0.5 * (np.array(rows) + np.array(rows).T))
-    return np.asarray((axes / np.maximum(sizes, 1.0 / _FARTHEST**2)) @ axes.T)
+def _precision(information: Array) -> Array:
+    """Return an information, with that of a wide prior for what the record does not tell."""
+    return np.asarray(information + np.eye(len(information)) / UNKNOWN**2)

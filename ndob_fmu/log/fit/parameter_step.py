@@ -7,70 +7,55 @@ be larger than with the parameters as told. Those that leave the least disturban
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import combinations
-
 import numpy as np
 
-from ndob_fmu.log.fit.likelihood import Likelihood, likelihood
-from ndob_fmu.log.fit.noise_fit import NoiseFit
+from ndob_fmu.log.events import Jumps
+from ndob_fmu.log.fit.error_bars import widened
+from ndob_fmu.log.fit.likelihood import Moved, likelihood
+from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
+from ndob_fmu.log.pieces import CutRecord
 from ndob_fmu.log.smoother import backward, forward, smoothed
 from ndob_fmu.runtime.arrays import Array
 
-# Differences are taken over this part of a parameter's standard deviation, which is found from a first, small one.
-_OVER = 0.5
-_FIRST = 1e-3
+# Differences are taken over this part of a parameter's prior standard deviation.
+_MOVED = 1e-3
 
 
 def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
-    """Return Newton's step (n_θ,) to the most likely parameters, and their covariance (n_θ,n_θ).
+    """Return the step (n_θ,) of Fisher's scoring to the most likely parameters, and their covariance (n_θ,n_θ).
 
     noise: the most likely one at θ
 
-    Noise and pace change with θ, as the force behind an acceleration does with the mass. So the curvature is that of
-    the likelihood at the best noise and pace for each θ.
+    Noise and pace change with θ, as the force behind an acceleration does with the mass. So the information is that
+    about all of them.
     """
-    K, prior = problem.trained, problem.parameter_std
-    events, told = noise.events, problem.told
+    K, prior, n = problem.trained, problem.parameter_std, len(problem.parameter_std)
 
-    def at(moved: Array) -> Likelihood:
-        record, search = problem.about(trajectory[:K], theta + moved).pieces(slice(K))
-        return likelihood(noise.cut(record, problem.layout), problem.layout, search.columns, events)
+    def pieces(step: Array) -> tuple[CutRecord, Jumps]:
+        record, search = problem.about(trajectory[:K], theta + step).pieces(slice(K))
+        return record, search.columns
 
-    centre = at(np.zeros(len(prior)))
-    over = _spans(at, centre.value, prior)
-    steps = np.diag(over)
-    up, down = [at(step) for step in steps], [at(-step) for step in steps]
-    slope = np.array([a.value - b.value for a, b in zip(up, down, strict=True)]) / (2.0 * over)
-    of_noise = np.array([a.slopes - b.slopes for a, b in zip(up, down, strict=True)]) / (2.0 * over)[:, None]
-    curvature = np.diag([a.value + b.value - 2.0 * centre.value for a, b in zip(up, down, strict=True)] / over**2)
-    for i, j in combinations(range(len(prior)), 2):
-        both = at(steps[i] + steps[j]).value - up[i].value - up[j].value + centre.value
-        curvature[i, j] = curvature[j, i] = both / (over[i] * over[j])
-    covariance = _inverse(np.diag(prior**-2.0) - curvature - of_noise @ noise.covariance @ of_noise.T, prior)
-    return covariance @ (slope - (theta - told) / prior**2), covariance
+    def told(step: Array) -> Moved:
+        record, columns = pieces(step)
+        return Moved(noise.cut(record, problem.layout), columns, float(step.sum()))
 
-
-def _spans(at: Callable[[Array], Likelihood], centre: float, prior: Array) -> Array:
-    """Return spans (n_θ,) over which the likelihood changes by enough to tell its curvature."""
-    spans = []
-    for step in np.diag(_FIRST * prior):
-        curvature = abs(2.0 * centre - at(step).value - at(-step).value) / step.sum() ** 2
-        spans.append(min(_OVER / max(curvature**0.5, 1e-300), 0.1 * float(prior[step > 0.0][0])))
-    return np.array(spans)
-
-
-def _inverse(precision: Array, prior: Array) -> Array:
-    """Return the inverse of a precision (n_θ,n_θ), which is that of the prior in directions where it is less."""
-    sizes, axes = np.linalg.eigh(precision * prior * prior[:, None])
-    return np.asarray((axes / np.maximum(sizes, 1.0)) @ axes.T * prior * prior[:, None])
+    record, columns = pieces(np.zeros(n))
+    centre, of_noise = moved(record, problem.layout, columns, noise.logs)
+    found = likelihood(centre, [*map(told, np.diag(_MOVED * prior)), *of_noise], noise.events)
+    of_prior = np.concatenate([prior**-2.0, np.full(len(of_noise), UNKNOWN**-2)])
+    slopes = found.slopes
+    slopes[:n] -= (theta - problem.told) / prior**2
+    inverse = np.asarray(np.linalg.inv(found.information + np.diag(of_prior)))
+    bars = widened(inverse, inverse, found.answer, found.surprise)
+    return (inverse @ slopes)[:n], bars[:n, :n]
 
 
 def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
     """Return a step (n_θ,) to the least mean square of the smoothed disturbance, and its covariance (n_θ,n_θ).
 
     The covariance counts what the disturbance is along each piece, not each row, as one observation of its own.
+    Differences are one-sided: the disturbance is nearly linear in θ.
     """
     K, layout, model = problem.trained, problem.layout, problem.rows.model
 
@@ -83,11 +68,18 @@ def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: 
 
     prior = problem.parameter_std
     d = disturbance(np.zeros(len(prior)))
-    steps = np.diag(_FIRST * prior)
-    slopes = np.array([(disturbance(step) - disturbance(-step)) / (2.0 * step.sum()) for step in steps])
+    steps = np.diag(_MOVED * prior)
+    slopes = np.array([(disturbance(step) - d) / step.sum() for step in steps])
     normal = np.einsum("alsq,blsq->ab", slopes, slopes)
-    of_pieces = np.einsum("alsq,lsq->sa", slopes, d)
     inverse = np.linalg.pinv(normal * prior * prior[:, None], rcond=1e-10, hermitian=True) * prior * prior[:, None]
-    step = -inverse @ of_pieces.sum(axis=0)
-    left = of_pieces + np.einsum("alsq,blsq,b->sa", slopes, slopes, step)
-    return step, inverse @ (left.T @ left) @ inverse
+    step = -inverse @ np.einsum("alsq,lsq->a", slopes, d)
+    left = d + np.einsum("alsq,a->lsq", slopes, step)
+    of_pieces = np.einsum("alsq,lsq->sa", slopes, left)
+    covariance = inverse @ (of_pieces.T @ of_pieces) @ inverse
+    return step, widened(covariance, inverse, _in_time(slopes), _in_time(left))
+
+
+def _in_time(pieces: Array) -> Array:
+    """Return numbers (…,L,S,q2) of pieces as (…,q2,R), one piece after the other."""
+    turned = np.moveaxis(pieces, -3, -1)
+    return np.swapaxes(turned, -3, -2).reshape(*pieces.shape[:-3], pieces.shape[-1], -1)
