@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from math import prod
 
 import numpy as np
 import sympy
@@ -39,34 +41,37 @@ class RowFunctions:
 
 @once_per_model
 def row_functions(model: Model) -> RowFunctions:
-    """Return the equations of a model without a channel for many rows."""
+    """Return the equations of a model without a channel for many rows. Each is compiled when it is first called."""
     f = model.vector_field
     symbols, rows = (f.x, f.u, f.d, f.p), len(f.x) + len(f.outputs)
     return RowFunctions(
-        derivatives=_function(symbols, f.derivatives(f.d), (len(f.x),)),
-        output=_function(symbols, f.outputs, (len(f.outputs),)),
-        slopes=_function(symbols, linearisation(f, f.d, f.d), (rows, len(f.x) + len(f.d))),
-        input_slopes=_function(symbols, input_slopes(f, f.d), (rows, len(f.u))),
-        sensitivity=_function(symbols, sensitivity(f, f.d), (rows, len(f.p))),
+        derivatives=_function(symbols, lambda: f.derivatives(f.d), (len(f.x),)),
+        output=_function(symbols, lambda: f.outputs, (len(f.outputs),)),
+        slopes=_function(symbols, lambda: linearisation(f, f.d, f.d), (rows, len(f.x) + len(f.d))),
+        input_slopes=_function(symbols, lambda: input_slopes(f, f.d), (rows, len(f.u))),
+        sensitivity=_function(symbols, lambda: sensitivity(f, f.d), (rows, len(f.p))),
     )
 
 
 def _function(
-    symbols: Sequence[Sequence[sympy.Symbol]], expressions: Sequence[sympy.Expr], shape: tuple[int, ...]
+    symbols: Sequence[Sequence[sympy.Symbol]], expressions: Callable[[], Sequence[sympy.Expr]], shape: tuple[int, ...]
 ) -> RowFunction:
-    evaluate = sympy.lambdify(
-        [symbol for group in symbols for symbol in group],
-        list(expressions),
-        modules=["numpy", "scipy"],
-        cse=True,
-        dummify=True,
-    )
+    @cache
+    def compiled() -> Callable[..., Sequence[Array | float]]:
+        found: Callable[..., Sequence[Array | float]] = sympy.lambdify(
+            [symbol for group in symbols for symbol in group],
+            list(expressions()),
+            modules=["numpy", "scipy"],
+            cse=True,
+            dummify=True,
+        )
+        return found
 
     def of_rows(*groups: Array) -> Array:
         K = len(groups[0])
-        found = np.empty((K, len(expressions)))
+        found = np.empty((K, prod(shape)))
         with np.errstate(all="ignore"):
-            for column, value in enumerate(evaluate(*(values for group in groups for values in group.T))):
+            for column, value in enumerate(compiled()(*(values for group in groups for values in group.T))):
                 found[:, column] = value
         return found.reshape(K, *shape)
 

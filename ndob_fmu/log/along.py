@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ndob_fmu.log.row_model import NODE_WEIGHTS, RowModel
 from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
+from ndob_fmu.runtime.step.tuned import Tuned
 
 # A jump may be as large as from one bound to the other. Inside a step it stands as jumps at three instants, as in
 # `jump_bank`.
@@ -54,12 +56,21 @@ def in_layout(trajectory: Array, old: Layout, new: Layout) -> Array:
     return xi
 
 
+def intensities(tuned: Tuned, steps: Array) -> Array:
+    """Return `Tuned.intensity` (K,q2) for steps (K,) s, with the noise as told."""
+    as_told = [1.0]
+    at_tuned = tuned.intensity(tuned.H, as_told)
+    lengths: Any = steps[:, None]  # the law's formula takes arrays, too
+    scaled = at_tuned if tuned.law is None else tuned.law.scaled(at_tuned, tuned.H, lengths, as_told)
+    return np.broadcast_to(scaled, (len(steps), len(at_tuned)))
+
+
 def record_along(
-    rows: RowModel, samples: Samples, trajectory: Array, intensity: Callable[[float], Array], start: Start
+    rows: RowModel, samples: Samples, trajectory: Array, intensity: Callable[[Array], Array], start: Start
 ) -> tuple[LinearRecord, Jumps]:
     """Return a record about a trajectory ξ (K,N), and the columns of jumps of d at each instant.
 
-    intensity: of the noise behind the r-th derivative of d (q2,), for a step (s)
+    intensity: of the noise behind the r-th derivative of d (K-1,q2), for steps (K-1,) s; or (q2,), the same for all
     start: what is known before the first sample
 
     Raises IntegrationError where the equations cannot be followed along a step.
@@ -67,8 +78,7 @@ def record_along(
     model, K, N = rows.model, *trajectory.shape
     # A sample belongs to the input until then, which outputs with feed-through show.
     before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
-    lengths, which = np.unique(samples.step, return_inverse=True)
-    sizes = np.array([model.noise_sizes(intensity(H), H) for H in lengths.tolist()])[which]
+    sizes = rows.noise_sizes(intensity(samples.step), samples.step)
     steps = rows.steps(trajectory[:-1], samples.inputs[:-1], samples.step, model.noise_directions)
     in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
     jumps = steps.jumps * np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None, None] * model.bound

@@ -18,7 +18,7 @@ from math import log
 
 import numpy as np
 
-from ndob_fmu.log.pieces import CutRecord
+from ndob_fmu.log.pieces import CutRecord, cut_record
 from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord
 from ndob_fmu.runtime.arrays import Array
 
@@ -100,6 +100,11 @@ def explained(cut: CutRecord, columns: Jumps, spacing: int, first: int, known: E
             break
         events = better
     return found
+
+
+def cut_with_events(record: LinearRecord, overlap: int, wide: Array, columns: Jumps, events: Events) -> CutRecord:
+    """Return `pieces.cut_record` for a record with some events."""
+    return cut_record(record, overlap, wide, with_outliers(record.variance, events), columns.at(events.jumps))
 
 
 def with_events(cut: CutRecord, columns: Jumps, events: Events) -> Explained:

@@ -78,12 +78,30 @@ def side_by_side(K: int, least: int) -> Pieces:
 
 
 @dataclass(frozen=True)
+class Known:
+    """What the filter finds in the pieces of a record, (L,S,…), with variances (K,p) of its samples and with jumps."""
+
+    variance: Array
+    jumps: Mapping[int, Array]
+    run: Forward
+
+    def is_with(self, variance: Array, jumps: Mapping[int, Array]) -> bool:
+        """Return whether it was found with the same."""
+        same = self.jumps.keys() == jumps.keys() and np.array_equal(self.variance, variance)
+        return same and all(np.array_equal(one, jumps[k]) for k, one in self.jumps.items())
+
+
+@dataclass(frozen=True)
 class CutRecord:
-    """A record and its pieces: what `smoother.forward` and `smoother.backward` find in them, as of the whole record."""
+    """A record and its pieces: what `smoother.forward` and `smoother.backward` find in them, as of the whole record.
+
+    known: what is known of them, which is not found again
+    """
 
     whole: LinearRecord
     pieces: Pieces
     parts: LinearRecord
+    known: Known | None = None
 
     def passes(self, variance: Array, jumps: Mapping[int, Array]) -> tuple[Forward, Adjoint]:
         """Filter the record and return, by row (K,…), what filter and adjoint find.
@@ -96,26 +114,47 @@ class CutRecord:
 
     def passes_of_pieces(self, variance: Array, jumps: Mapping[int, Array]) -> tuple[LinearRecord, Forward, Adjoint]:
         """Return the pieces with these variances, and what filter and adjoint find in each, (L,S,…)."""
-        told = replace(self.parts, variance=variance[self.pieces.rows])
-        run = forward(told, self.pieces.placed(jumps))
+        told, known = self._told(variance), self.known
+        run = known.run if known and known.is_with(variance, jumps) else self._run(told, jumps)
         return told, run, backward(told, run)
+
+    def knowing(self, variance: Array, jumps: Mapping[int, Array]) -> tuple[CutRecord, Forward]:
+        """Return it with what the filter finds, and that."""
+        run = self._run(self._told(variance), jumps)
+        return replace(self, known=Known(variance, jumps, run)), run
+
+    def _told(self, variance: Array) -> LinearRecord:
+        return replace(self.parts, variance=variance[self.pieces.rows])
+
+    def _run(self, told: LinearRecord, jumps: Mapping[int, Array]) -> Forward:
+        return forward(told, self.pieces.placed(jumps))
 
 
 def _joined(pieces: Pieces, found: Forward | Adjoint) -> list[Array]:
     return [pieces.joined(getattr(found, one.name)) for one in fields(found)]
 
 
-def cut_record(record: LinearRecord, overlap: int, wide: Array) -> CutRecord:
+def cut_record(
+    record: LinearRecord,
+    overlap: int,
+    wide: Array,
+    variance: Array | None = None,
+    jumps: Mapping[int, Array] | None = None,
+) -> CutRecord:
     """Return a record with its pieces, the whole record as one where a filter forgets its start too slowly.
 
     overlap: rows after which it has forgotten it
     wide (N,): standard deviations of ξ at the start of a piece
+    variance (K,p), jumps: as `CutRecord.passes`, with which it is tried; none: those of the record, and no jumps
     """
-    K = len(record.rows)
+    K, told = len(record.rows), record.variance if variance is None else variance
     for longer in _LONGER:
         pieces = cut(K, longer * overlap)
         found = CutRecord(record, pieces, parts_of(record, pieces, wide))
-        if len(pieces.first) == 1 or _agree(pieces, forward(found.parts)):
+        if len(pieces.first) == 1:
+            return found
+        found, run = found.knowing(told, jumps or {})
+        if _agree(pieces, run):
             return found
     pieces = Pieces(np.zeros(1, dtype=np.intp), K, np.array([0, K]))
     return CutRecord(record, pieces, parts_of(record, pieces, wide))

@@ -73,6 +73,14 @@ class RowModel:
             C[:, output, layout.biases.start + place] = 1.0
         return C
 
+    def noise_sizes(self, intensity: Array, H: Array) -> Array:
+        """Return `FilterModel.noise_sizes` (K,c) in steps H (K,) s; intensity (K,q2), or (q2,) for all."""
+        told, undriven = np.array(self.model.settings.state_noise, dtype=float), self.model.undriven
+        noisy = told + undriven > 0.0
+        on_states = told[noisy] ** 2 + undriven[noisy] * H[:, None]
+        on_d = np.broadcast_to(intensity, (len(H), self.model.layout.q))
+        return np.asarray(np.sqrt(np.hstack([on_d, on_states])))
+
     def steps(self, xi: Array, u: Array, H: Array, channel: Array) -> RowSteps:
         """Return the steps of H (K,) s from each row, and what white noise through a channel (N,c) adds.
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
-from ndob_fmu.log.along import Samples, Start, record_along
-from ndob_fmu.log.events import Events, Explained, explained
+from ndob_fmu.log.along import Samples, Start, intensities, record_along
+from ndob_fmu.log.events import Events, Explained, cut_with_events, explained
 from ndob_fmu.log.online import Stretch
-from ndob_fmu.log.pieces import cut_record
+from ndob_fmu.log.pieces import CutRecord, parts_of
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smoother import smoothed
 from ndob_fmu.runtime.arrays import Array
@@ -63,6 +63,11 @@ def forgotten_rows(tuned: Tuned) -> int:
     return max(_LEAST_OVERLAP, round(_FORGOTTEN * tuned.model.jump_spacing / tuned.H))
 
 
+def overlap(tuned: Tuned) -> int:
+    """Return by how many rows the pieces of a record overlap at first; half as many are seldom enough."""
+    return 2 * forgotten_rows(tuned)
+
+
 def event_spacing(tuned: Tuned) -> int:
     """Return within how many rows there is one new event."""
     return max(_LEAST_SPACING, round(2.0 * tuned.model.jump_spacing / tuned.H))
@@ -108,11 +113,14 @@ def explained_stretch(
     samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, noise_variance(model, said.noise_ratio))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
-    as_told = [1.0] * samples.outputs.shape[1]
     trajectory = np.array([model.layout.unpacked(row) for row in said.predicted])
+    cut: CutRecord | None = None
     for _ in range(1 if model.is_linear else _LINEARISATIONS):
-        record, columns = record_along(equations, samples, trajectory, lambda H: tuned.intensity(H, as_told), start)
-        cut = cut_record(record, forgotten_rows(tuned), model.start_std)
+        record, columns = record_along(equations, samples, trajectory, lambda steps: intensities(tuned, steps), start)
+        if cut is None:
+            cut = cut_with_events(record, overlap(tuned), model.start_std, columns, events)
+        else:  # the filter forgets its start about another trajectory as fast
+            cut = CutRecord(record, cut.pieces, parts_of(record, cut.pieces, model.start_std))
         found = explained(cut, columns, spacing, started, events)
         about, events = trajectory, found.events
         trajectory = about + smoothed(found.forward, found.adjoint).xi
@@ -125,8 +133,8 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
         return np.broadcast_to(model.noise_variance, ratio.shape)
     first = min(_SURE, len(ratio) - 1)
     believed = np.concatenate([np.broadcast_to(ratio[first], (first, ratio.shape[1])), ratio[first:]])
-    least = model.least_noise.tolist()
-    return np.asarray(model.noise_variance * [in_use(row, least) for row in believed.tolist()])
+    used = in_use(believed.ravel().tolist(), np.tile(model.least_noise, len(believed)).tolist())
+    return np.asarray(model.noise_variance * np.reshape(used, believed.shape))
 
 
 def smoothed_stretch(model: FilterModel, found: Explained, about: Array, rows: int) -> SmoothedStretch:

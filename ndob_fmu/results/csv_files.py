@@ -34,16 +34,20 @@ def write_csv_parts(path: str | Path, parts: Iterable[Recording]) -> None:
             if i == 0:
                 header = csv.writer(file, quoting=csv.QUOTE_ALL, lineterminator="\n")
                 header.writerow(["time", *recording.names])
-            formats = [repr] + [repr if kind == "Real" else _integer for kind in recording.types]
-            block = max(1, _VALUES_IN_A_BLOCK // len(formats))
+            whole = [place for place, kind in enumerate(recording.types, 1) if kind != "Real"]
+            block = max(1, _VALUES_IN_A_BLOCK // (1 + len(recording.types)))
             for first in range(0, len(recording.time), block):
-                rows = slice(first, first + block)
-                for row in np.column_stack([recording.time[rows], recording.columns[rows]]).tolist():
-                    file.write(",".join([as_text(value) for as_text, value in zip(formats, row, strict=True)]) + "\n")
+                some = slice(first, first + block)
+                file.write(_lines(np.column_stack([recording.time[some], recording.columns[some]]).tolist(), whole))
 
 
-def _integer(value: float) -> str:
-    return str(int(value))
+def _lines(rows: list[list[float]], whole: list[int]) -> str:
+    """Return lines of a CSV file; `whole`: places of the entries that are whole numbers."""
+    for row in rows:
+        for place in whole:
+            row[place] = int(row[place])
+    # Python writes a list of lists as a whole in half the time of its numbers one by one.
+    return repr(rows)[2:-2].replace("], [", "\n").replace(", ", ",") + "\n"
 
 
 def read_csv(path: str | Path) -> Recording:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,14 +20,16 @@ def thinned(values: Array, most: int = _MOST_POINTS) -> NDArray[np.intp]:
     if rows <= most:
         return np.arange(rows)
     edges = np.linspace(0, rows, most // 2 + 1).astype(int)
-    kept = {0, rows - 1}
-    usable = np.isfinite(values)
-    for first, end in pairwise(edges):
-        here = usable[first:end]
-        if here.any():
-            stretch = values[first:end]
-            kept.add(int(first + np.where(here, stretch, np.inf).argmin()))
-            kept.add(int(first + np.where(here, stretch, -np.inf).argmax()))
-        if not here.all():
-            kept.add(int(first + here.argmin()))
-    return np.array(sorted(kept))
+    # A row of these for each stretch, of which the shorter ones do not have the last entry.
+    places = edges[:-1, None] + np.arange(int(np.diff(edges).max()))
+    inside = places < edges[1:, None]
+    stretches, usable = values[np.minimum(places, rows - 1)], np.isfinite(values)[np.minimum(places, rows - 1)]
+    here, gap = inside & usable, inside & ~usable
+    kept = [np.array([0, rows - 1])]
+    for some, place in (
+        (here, np.where(here, stretches, np.inf).argmin(axis=1)),
+        (here, np.where(here, stretches, -np.inf).argmax(axis=1)),
+        (gap, gap.argmax(axis=1)),
+    ):
+        kept.append((edges[:-1] + place)[some.any(axis=1)])
+    return np.unique(np.concatenate(kept))

@@ -6,6 +6,7 @@ import pytest
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
+from ndob_fmu.log.along import intensities
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.loading import load_model
@@ -52,3 +53,15 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
         np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), rtol=0, atol=close)
         np.testing.assert_allclose(y[k], found.predicted_output(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(C[k], found.output_slopes(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_noise_of_all_steps_is_that_of_each_step(case):
+    model, told = CASES[case]
+    eq = compile_model(model)
+    tuned = told_observer(eq, told_values(eq, told).__getitem__, print).tuned(1e-2)
+    steps = np.array([1e-2, 2e-3, 0.0101, 0.3])
+    found = RowModel(tuned.model, row_functions(model)).noise_sizes(intensities(tuned, steps), steps)
+    as_told = [1.0] * len(eq.outputs)
+    expected = [tuned.model.noise_sizes(tuned.intensity(H, as_told), H) for H in steps.tolist()]
+    np.testing.assert_allclose(found, expected, rtol=1e-13)

@@ -123,7 +123,15 @@ def _trace(panel: int, x: Array, y: Array, name: str) -> Figure:
 
 def _short(values: Array, digits: int) -> list[float | None]:
     """Return values in few digits, None where there is none: the page is to get few bytes."""
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in np.asarray(values).tolist()]
+    known = np.isfinite(values) & (values != 0.0)
+    size = np.abs(np.where(known, values, 1.0))
+    places = digits - 1.0 - np.floor(np.log10(size))
+    # Powers of ten above 1 are exact numbers; so one division gives the number of few digits.
+    up, down = 10.0 ** np.maximum(places, 0.0), 10.0 ** np.maximum(-places, 0.0)
+    rounded = np.where(known, np.round(np.where(known, values, 0.0) * up / down) / up * down, 0.0)
+    found = rounded.astype(object)
+    found[~np.isfinite(values)] = None
+    return list(found.tolist())
 
 
 def _usual(signals: Sequence[Array]) -> tuple[float, float]:

@@ -17,16 +17,16 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
-from ndob_fmu.log.along import Samples, Start, in_layout, record_along
+from ndob_fmu.log.along import Samples, Start, in_layout, intensities, record_along
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
-from ndob_fmu.log.events import Events, Explained, Jumps, explained, with_events
+from ndob_fmu.log.events import Events, Explained, Jumps, cut_with_events, explained, with_events
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.native_run import native_run
 from ndob_fmu.log.online import along
-from ndob_fmu.log.pieces import CutRecord, cut_record
+from ndob_fmu.log.pieces import CutRecord
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, forgotten_rows, noise_variance
+from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, noise_variance, overlap
 from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, smoothed
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
@@ -38,8 +38,6 @@ from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 from ndob_fmu.runtime.step.tuned import Tuned
 from ndob_fmu.support.progress import begin
 
-# A log with jitter has as many steps as rows; the intensity, by a power law, is interpolated between so many of them.
-_LENGTHS = 33
 _REMEMBERED = 16
 
 
@@ -110,6 +108,7 @@ class Workbench:
         self._functions = row_functions(model)
         self._linear: dict[int, _Linear] = {}
         self._tunings: dict[Settings, tuple[SampledObserver, Tuned]] = {}
+        self._latest: tuple[tuple[Settings, Events], Tuned, _Linear, Explained] | None = None
         self.told = settings_of(eq, self._values)
         observer = self._observer(self.told)
         if eq.channel is not None or not can_smooth(observer):
@@ -146,8 +145,11 @@ class Workbench:
 
         Raises DesignError where the observer has no tuning for the settings.
         """
-        tuned, linear, cut = self._cut(settings)
-        return self._as_shown(settings, tuned, linear, with_events(cut, linear.columns, self._events))
+        key = (_without_lag(settings), self._events)
+        if self._latest is None or self._latest[0] != key:
+            tuned, linear, cut = self._cut(settings)
+            self._latest = (key, tuned, linear, with_events(cut, linear.columns, self._events))
+        return self._as_shown(settings, *self._latest[1:])
 
     def find_jumps(self, settings: Settings) -> None:
         """Find the jumps and outliers that explain the log with these settings, in place of those that were known."""
@@ -160,8 +162,8 @@ class Workbench:
         return told_observer(self.equations, values.__getitem__, ignored)
 
     def _tuned(self, settings: Settings) -> tuple[SampledObserver, Tuned]:
-        """Return the observer for settings, and what it is tuned to. The lag counts only as one that is there."""
-        key = replace(settings, lag=float(settings.lag > 0.0))
+        """Return the observer for settings, and what it is tuned to."""
+        key = _without_lag(settings)
         if key not in self._tunings:
             observer = self._observer(settings)
             if len(self._tunings) >= _REMEMBERED:
@@ -175,19 +177,20 @@ class Workbench:
     def _cut(self, settings: Settings) -> tuple[Tuned, _Linear, CutRecord]:
         """Return the record with the noise of the settings, in pieces."""
         observer, tuned = self._tuned(settings)
-        model, stretch = tuned.model, self.stretch
+        model = tuned.model
         if settings.order not in self._linear:
             self._linear[settings.order] = self._linearised(observer, tuned)
         linear = self._linear[settings.order]
         c, N = linear.sizes.shape[1], model.layout.size
-        factor = np.repeat(_noise_sizes(tuned, stretch.step[:-1]) / linear.sizes, N, axis=1)
+        factor = np.repeat(self._noise_sizes(tuned) / linear.sizes, N, axis=1)
         record = replace(
             linear.record,
             noise=linear.record.noise * factor[:, None, : c * N],
             variance=noise_variance(model, self._noise_ratio(settings)),
             start_factor=np.diag(model.start_std),
         )
-        return tuned, linear, cut_record(record, forgotten_rows(tuned), model.start_std)
+        cut = cut_with_events(record, overlap(tuned), model.start_std, linear.columns, self._events)
+        return tuned, linear, cut
 
     def _noise_ratio(self, settings: Settings) -> Array:
         """Return the variance (K,p) that the observer found in the residuals, over the one of the settings."""
@@ -198,15 +201,19 @@ class Workbench:
         model, log, step = tuned.model, self.stretch.log, self.stretch.step[:-1]
         told = np.broadcast_to(model.noise_variance, log.outputs.shape)
         trajectory = in_layout(self._about, self._layout, model.layout)
-        as_told = [1.0] * len(self.equations.outputs)
         record, columns = record_along(
             RowModel(model, self._functions),
             Samples(step, log.inputs, log.outputs, told),
             trajectory,
-            lambda H: tuned.intensity(H, as_told),
+            lambda steps: intensities(tuned, steps),
             self._start(observer, model),
         )
-        return _Linear(trajectory, record, columns, _noise_sizes(tuned, step))
+        return _Linear(trajectory, record, columns, self._noise_sizes(tuned))
+
+    def _noise_sizes(self, tuned: Tuned) -> Array:
+        """Return the square roots of the noise's intensities (K-1,c) in the steps."""
+        step = self.stretch.step[:-1]
+        return RowModel(tuned.model, self._functions).noise_sizes(intensities(tuned, step), step)
 
     def _as_shown(self, settings: Settings, tuned: Tuned, linear: _Linear, found: Explained) -> Shown:
         model, run, eq = tuned.model, found.forward, self.equations
@@ -251,16 +258,9 @@ class Workbench:
         return list(tally.diagnoses())
 
 
-def _noise_sizes(tuned: Tuned, steps: Array) -> Array:
-    """Return the square roots of the noise's intensities (K-1,c) in steps (K-1,)."""
-    as_told = [1.0] * len(tuned.model.noise_variance)
-    lengths, which = np.unique(steps, return_inverse=True)
-    some = np.geomspace(lengths[0], lengths[-1], _LENGTHS) if len(lengths) > _LENGTHS else lengths
-    sizes = np.array([tuned.model.noise_sizes(tuned.intensity(H, as_told), H) for H in some.tolist()])
-    if len(lengths) > _LENGTHS:
-        logs = np.log(sizes).T
-        sizes = np.exp([np.interp(np.log(lengths), np.log(some), one) for one in logs]).T
-    return np.asarray(sizes[which])
+def _without_lag(settings: Settings) -> Settings:
+    """Return settings for which the filter is the same whatever the lag is, as long as there is one."""
+    return replace(settings, lag=float(settings.lag > 0.0))
 
 
 def _filtered(model: FilterModel, trajectory: Array, run: Forward) -> Band:
