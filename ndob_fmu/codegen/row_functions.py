@@ -53,6 +53,14 @@ def row_functions(model: Model) -> RowFunctions:
     )
 
 
+@once_per_model
+def map_functions(model: Model) -> RowFunction:
+    """Return the functions of the states in all maps of a model (K,n_φ), in the order of their coefficients."""
+    f = model.vector_field
+    functions = [function for one in model.maps for function in one.functions]
+    return _function((f.x, f.u, f.d, f.p), lambda: functions, (len(functions),))
+
+
 def _function(
     symbols: Sequence[Sequence[sympy.Symbol]], expressions: Callable[[], Sequence[sympy.Expr]], shape: tuple[int, ...]
 ) -> RowFunction:

@@ -140,6 +140,11 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
         f"the disturbance {kind}{jumps}: disturbance_order {found.order}; log-likelihood of a sample of the "
         + (f"{found.held_out} held-out rows: {judged}" if judged else "rows; none was held out"),
         f"parameters: {each(found.parameters) or 'none fitted'}",
+        *(
+            f"map of {name}: {' and '.join(one.depends_on)} explain {100.0 * one.explained:.0f} % of its mean square; "
+            f"{one.rms_with:.3g} RMS of {one.rms_without:.3g} remain in parts of the log that were left out"
+            for name, one in found.maps.items()
+        ),
     ]
     return "\n".join([*lines, *(f"warning: {line}" for line in found.warnings)])
 

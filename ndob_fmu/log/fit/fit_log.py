@@ -12,6 +12,7 @@ import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
+from ndob_fmu.log.fit.map_step import LearnedMap, MapStep, learn_maps
 from ndob_fmu.log.fit.pace import rates_for
 from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
@@ -55,6 +56,7 @@ class Fitted:
     noise_std: of each output
     intensity: of the white noise behind the order-th derivative of each disturbance
     parameters: those that were fitted and that the log tells
+    maps: what was learned of the maps of the disturbances
     held_out_values: log-likelihood of a held-out sample for each order; None where no row is held out
     warnings: what the log does not tell
     start_values: for fit.json
@@ -69,6 +71,7 @@ class Fitted:
     noise_std: Mapping[str, Told]
     intensity: Mapping[str, Told]
     parameters: Mapping[str, Told]
+    maps: Mapping[str, LearnedMap]
     held_out_values: Mapping[int, float | None]
     warnings: tuple[str, ...]
     start_values: Mapping[str, Any]
@@ -127,17 +130,19 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     parameters = {
         name: Told(float(value), float(own)) for name, value, own in zip(setup.free, best.parameters, std, strict=True)
     }
+    told = {
+        key: number for name, one in parameters.items() for key, number in ((name, one.value), (f"{name}_std", one.std))
+    }
+    setup, best, maps = _with_maps(setup.with_values(told), run, best, given)
+    warnings += maps.warnings
     noise_std = _noise_std(setup, best)
     found = {
         **given,
         **raised,
         **{f"{name}_noise_std": told.value for name, told in noise_std.items()},
         "disturbance_order": best.order,
-        **{
-            key: number
-            for name, told in parameters.items()
-            for key, number in ((name, told.value), (f"{name}_std", told.std))
-        },
+        **told,
+        **maps.values,
     }
     pace, pace_std = best.pace
     pace, pace_std = pace * best.raised, pace_std * best.raised
@@ -155,6 +160,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
             for name, value, std in zip(setup.equations.disturbances, pace, pace_std, strict=True)
         },
         parameters=parameters,
+        maps=maps.maps,
         held_out_values={
             order: fit.held_out / fit.held_samples if fit.held_samples else None for order, fit in fits.items()
         },
@@ -195,6 +201,17 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
             return setup, fit
         setup = replace(setup, free=tuple(name for name, one in zip(setup.free, told, strict=True) if one))
     return setup, known
+
+
+def _with_maps(setup: Setup, run: Run, known: ClassFit, given: Mapping[str, Any]) -> tuple[Setup, ClassFit, MapStep]:
+    """Return the maps that the log tells, and the fit of what remains of the disturbance."""
+    maps = learn_maps(setup.model, known, given)
+    setup = replace(setup.with_values(maps.values), free=())
+    if not maps.maps:
+        return setup, known, maps
+    problem, trajectory = setup.problem(run, known.order), known.trajectory.copy()
+    trajectory[:, problem.layout.disturbance] -= maps.disturbance
+    return setup, fit_class(problem, trajectory, most_likely), maps
 
 
 def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, run: Run) -> Array:
