@@ -161,10 +161,11 @@ def _estimate(options: argparse.Namespace) -> int:
 
 
 def _text(found: Estimated) -> str:
-    rows = found.found
+    rows, shown = found.found, found.shown_time
+    start, stop = found.start_time - shown.zero, found.stop_time - shown.zero
     lines = [
-        f"{rows.rows} rows, {found.start_time:.6g} to {found.stop_time:.6g} s, usual step {found.step:.4g} s, "
-        f"jitter {100.0 * found.jitter:.2g} %",
+        f"{rows.rows} rows, {start:.6g} to {stop:.6g} s{f' ({shown.text})' if shown.text else ''}, usual step "
+        f"{found.step:.4g} s, jitter {100.0 * found.jitter:.2g} %",
         f"  {found.gaps} gaps, {rows.merged} rows of a time that was there before, {rows.missing_samples} samples and "
         f"{rows.missing_inputs} inputs missing",
         f"  estimate of the {found.build} observer, valid in {100.0 * found.valid:.1f} % of the rows"

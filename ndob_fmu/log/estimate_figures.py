@@ -12,6 +12,7 @@ from ndob_fmu.log.diagnostics import LAGS, OutputDiagnosis
 from ndob_fmu.log.result_table import LOG, OBSERVER, SMOOTHER
 from ndob_fmu.results import plots
 from ndob_fmu.results.recording import Recording
+from ndob_fmu.results.shown_time import ShownTime
 from ndob_fmu.runtime.arrays import Array
 
 # Points of a line: more cannot be seen.
@@ -51,6 +52,7 @@ def write_figures(
     disturbances: Sequence[tuple[str, str]],
     outputs: Sequence[tuple[str, str]],
     diagnoses: Mapping[str, OutputDiagnosis],
+    shown: ShownTime,
     *,
     smooths: bool,
 ) -> None:
@@ -58,7 +60,7 @@ def write_figures(
 
     disturbances, outputs: names and units
     """
-    time = kept["time"]
+    time = shown.of(kept["time"])
     with plots.figure(folder / "fig1_disturbance.png", rows=len(disturbances)) as rows:
         for axes, (name, unit) in zip(rows, disturbances, strict=True):
             lines = [(OBSERVER, f"{name}_hat", f"{name}_std", "online", "C0")]
@@ -72,7 +74,7 @@ def write_figures(
             _show_usual(axes, ends)
             axes.set_ylabel(f"{name} [{unit}]")
             axes.legend(loc="upper right")
-        axes.set_xlabel("time [s]")
+        axes.set_xlabel(shown.label)
     with plots.figure(folder / "fig2_outputs.png", rows=2 * len(outputs)) as rows:
         for i, (name, unit) in enumerate(outputs):
             above, below = rows[2 * i], rows[2 * i + 1]
@@ -87,7 +89,7 @@ def write_figures(
             _show_usual(below, [residual, -bar, bar])
             below.set_ylabel(f"[{unit}]")
             below.legend(loc="upper right")
-        below.set_xlabel("time [s]")
+        below.set_xlabel(shown.label)
     with plots.figure(folder / "fig3_residuals.png", rows=len(outputs)) as rows:
         for axes, (name, found) in zip(rows, diagnoses.items(), strict=True):
             axes.bar(np.arange(1, LAGS + 1), found.correlation, color="C0", width=0.6)

@@ -28,6 +28,7 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.results.csv_files import write_csv_parts
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import RESULT, write_summary
+from ndob_fmu.results.shown_time import ShownTime, shown_time
 from ndob_fmu.results.versions import software_versions
 from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.step.channel_observer import read_out
@@ -69,6 +70,11 @@ class Estimated:
     diagnoses: Mapping[str, OutputDiagnosis]
     verdicts: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def shown_time(self) -> ShownTime:
+        """How people read its times."""
+        return shown_time(self.start_time, self.step)
 
 
 def estimate_log(
@@ -121,7 +127,7 @@ def estimate_log(
             counts.add(stretch, smoothed)
             tally.add(stretch)
             yield kept.add(table.rows(stretch, smoothed))
-            begin(f"estimating, {stretch.log.time[-1]:.6g} s of the log are done")
+            begin(f"estimating, {stretch.log.time[-1] - first.time[0]:.6g} s of the log are done")
 
     with atomic_folder(folder) as new:
         with native_run(model, native, values, observer, x_hat) as run:
@@ -129,9 +135,8 @@ def estimate_log(
         diagnoses = dict(zip(eq.outputs, tally.diagnoses(), strict=True))
         verdicts, build = _verdicts(eq, values, diagnoses), PYTHON if run is None else NATIVE
         estimated = counts.estimated(build, diagnoses, verdicts, tuple(warnings), smooths=smooths)
-        write_figures(
-            new, kept, _with_units(eq, eq.disturbances), _with_units(eq, eq.outputs), diagnoses, smooths=smooths
-        )
+        disturbances, outputs = _with_units(eq, eq.disturbances), _with_units(eq, eq.outputs)
+        write_figures(new, kept, disturbances, outputs, diagnoses, estimated.shown_time, smooths=smooths)
         wall_time = time.perf_counter() - began
         write_summary(new, _summary(eq, values, estimated, table.units, Path(path).name, wall_time))
     return estimated

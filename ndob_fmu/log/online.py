@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.log import Log
+from ndob_fmu.results.shown_time import seconds
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.channel_observer import ChannelState
@@ -124,7 +125,7 @@ def parts_of_steps(log: Log, step: Array, usual: float) -> NDArray[np.int_]:
     if parts.max() > _MOST_PARTS:
         k = int(np.argmax(parts > _MOST_PARTS))
         raise UsageError.report(
-            f"log at {log.time[k]:.9g} s",
+            f"log at {seconds(log.time[k])} s",
             expected=f"gaps of at most {_MOST_PARTS} usual steps",
             received=f"{step[k]:.3g} s without a row",
             likely="two records in one file, or times in another unit (--unit)",

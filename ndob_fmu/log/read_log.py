@@ -13,6 +13,7 @@ import numpy as np
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.log import Found, Log
 from ndob_fmu.log.log_columns import Columns, Signals, columns_of
+from ndob_fmu.results.shown_time import seconds
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.extras import extra
 
@@ -67,8 +68,8 @@ def _require_times(where: str, times: Array, first: int, before: float) -> None:
         is_missing = not np.isfinite(times[k])
         raise UsageError.report(
             f"{where}, row {first + k}",
-            expected="a time" if is_missing else f"a time of at least {previous[k]:.9g} s, that of the row before",
-            received="none" if is_missing else f"{times[k]:.9g} s",
+            expected="a time" if is_missing else f"a time of at least {seconds(previous[k])} s, that of the row before",
+            received="none" if is_missing else f"{seconds(times[k])} s",
             likely="" if is_missing else "two logs in one file, or a clock that was set back",
         )
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ndob_fmu.report.content import pretty
 from ndob_fmu.report.signals import estimates
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import read_run
+from ndob_fmu.results.shown_time import ShownTime, shown_time
 from ndob_fmu.runtime.arrays import Array
 
 
@@ -29,8 +32,14 @@ class RecordedRun:
 
     @property
     def time(self) -> Array:
-        """Time of the rows in s, (rows,)."""
-        return self.recording.time
+        """Time of the rows in s (rows,), as it is shown."""
+        return self.shown_time.of(self.recording.time)
+
+    @property
+    def shown_time(self) -> ShownTime:
+        """How people read the times of the rows."""
+        own = self.recording.time
+        return shown_time(float(own[0]), float(np.median(np.diff(own)))) if len(own) > 1 else ShownTime()
 
     @property
     def units(self) -> Mapping[str, str]:

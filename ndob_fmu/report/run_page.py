@@ -19,7 +19,8 @@ def run_content(folder: Path) -> Content:
     """Return the report of the run whose result.csv, and summary.json if there is one, lie in ``folder``."""
     record = read_recorded_run(folder)
     recording, summary, units = record.recording, record.summary, record.units
-    span = f"{recording.time[0]:g} to {recording.time[-1]:g} s"
+    shown = record.shown_time.text
+    span = f"{record.time[0]:g} to {record.time[-1]:g} s" + (f" ({shown})" if shown else "")
     system = summary.get("system") or folder.name
     return Content(
         title=f"Simulation of {system}",

@@ -241,3 +241,24 @@ def test_the_command_says_what_it_found_and_where(tmp_path, monkeypatch, capsys)
     assert "verdict:" in said
     summary = json.loads((tmp_path / "results" / "log" / "summary.json").read_text())
     assert (summary["parameters"]["observer.lag"], summary["parameters"]["observer.disturbance_rate"]) == (0.1, 2.0)
+
+
+def test_times_of_a_clock_that_starts_far_from_0_are_shown_from_the_first_row(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    time = 0.01 * np.arange(300)
+    write_log(tmp_path / "log.csv", 1.7e9 + time, *simulated(time, gusts(time), [*NOISE.values()], 7))
+    (tmp_path / "model.py").write_text("from tests.log.test_estimate_log import CART as model\n")
+    axes = []
+    monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *told, **__: axes.append(told[-1]))
+    monkeypatch.setattr("ndob_fmu.log.estimate_log.begin", axes.append)
+    assert main(["estimate", "model.py", "log.csv"]) == 0
+    said = capsys.readouterr().out
+    assert "300 rows, 0 to 2.99 s (times from the first row, at 1700000000 s), usual step 0.01 s" in said
+    assert axes[0] == "estimating, 2.99 s of the log are done"
+    assert axes[1].of(1.7e9 + time)[-1] == pytest.approx(2.99)
+    assert axes[1].label == "time [s] from the first row, at 1700000000 s"
+    assert read_csv(tmp_path / "results" / "log" / "result.csv").time[1] == pytest.approx(1.7e9 + 0.01, abs=1e-6)
+
+
+def test_the_times_of_a_clock_that_starts_near_0_are_shown_as_they_are(usual):
+    assert usual[1].shown_time.label == "time [s]"

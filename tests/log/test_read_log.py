@@ -114,6 +114,10 @@ REFUSED = {
     "text": ("time,u,y,z\n0,1,2,3\n1,1,on,3\n", "row 2, column y: expected a number, received 'on'"),
     "a short row": ("time,u,y,z\n0,1,2,3\n1,1\n", "row 2: expected 4 entries, as in the header, received 2"),
     "a time goes back": ("time,u,y,z\n2,1,2,3\n1,1,2,3\n", "row 2: expected a time of at least 2 s"),
+    "a clock goes back": (
+        "time,u,y,z\n1700000000.02,1,2,3\n1700000000.01,1,2,3\n",
+        "at least 1700000000.02 s, that of the row before, received 1700000000.01 s",
+    ),
     "a time is missing": ("time,u,y,z\n2,1,2,3\n,1,2,3\n", "row 2: expected a time, received none"),
     "an input without numbers": ("time,u,y,z\n0,,2,3\n1,,2,3\n", "numbers in the column of u"),
     "no text at all": ("\x00\x01\x02", "expected a column time"),

@@ -21,9 +21,11 @@ from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.smooth_log import smooth
 from ndob_fmu.log.smoother import backward, forward, smoothed
 from ndob_fmu.log.told_values import told_values
+from ndob_fmu.log.tune.figures import disturbance_figure, residual_figure
 from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.tune.serve import HOST, address, page_server
 from ndob_fmu.log.tune.workbench import Workbench
+from ndob_fmu.results.shown_time import shown_time
 from tests.helpers.browser import browser, requests
 from tests.log.made_logs import EQUATIONS, made_log
 from tests.log.test_estimate_log import CART
@@ -106,6 +108,14 @@ def test_without_adaptation_the_noise_is_what_the_slider_says(workbench):
     )
     assert small == pytest.approx(4.0, rel=0.15)
     assert right == pytest.approx(1.0, rel=0.15)
+
+
+def test_the_axis_of_a_clock_that_starts_far_from_0_counts_from_the_first_row(workbench):
+    time, shown = 1.7e9 + workbench.stretch.log.time, workbench.shown(workbench.told)
+    for draw in (disturbance_figure, residual_figure):
+        figure = draw(workbench.equations, time, shown, shown_time(1.7e9, 0.01))
+        assert figure["layout"]["xaxis"]["title"]["text"] == "time [s] from the first row, at 1700000000 s"
+        assert max(figure["data"][0]["x"]) == pytest.approx(workbench.stretch.log.time[-1], abs=1e-3)
 
 
 @pytest.fixture(scope="module")

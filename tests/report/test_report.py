@@ -15,8 +15,9 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.report import write_report
 from ndob_fmu.report.observers import disturbance_figures, input_figures, output_figures
 from ndob_fmu.report.recorded_run import RecordedRun, read_recorded_run
+from ndob_fmu.report.run_page import run_content
 from ndob_fmu.report.signals import estimates, spans, usual_range
-from ndob_fmu.results.csv_files import read_csv
+from ndob_fmu.results.csv_files import read_csv, write_csv
 from ndob_fmu.results.plots import decades
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.thinning import thinned
@@ -366,3 +367,10 @@ def test_a_drawn_parameter_makes_points_with_the_median_of_their_runs():
 def test_an_estimate_is_shown_with_what_it_estimates():
     names = ["plant.x", "plant.d", "plant.d_total", "observer.x_hat", "observer.d_hat", "observer.z_hat", "observer.x"]
     assert estimates(names) == [("plant.x", "observer.x_hat"), ("plant.d_total", "observer.d_hat")]
+
+
+def test_times_of_a_clock_that_starts_far_from_0_are_shown_from_the_first_row(tmp_path):
+    time = 1.7e9 + 0.01 * np.arange(50)
+    write_csv(tmp_path / "result.csv", Recording(time, ("plant.angle",), np.sin(time)[:, None]))
+    assert "from 0 to 0.49 s (times from the first row, at 1700000000 s)" in run_content(tmp_path).lead
+    assert read_recorded_run(tmp_path).time[-1] == pytest.approx(0.49, abs=1e-6)

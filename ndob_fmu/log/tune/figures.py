@@ -9,6 +9,7 @@ import numpy as np
 
 from ndob_fmu.log.diagnostics import LAGS
 from ndob_fmu.log.tune.workbench import Band, Shown
+from ndob_fmu.results.shown_time import ShownTime
 from ndob_fmu.results.thinning import thinned
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations
@@ -22,8 +23,9 @@ _QUANTILES = (0.005, 0.995)
 Figure = dict[str, Any]
 
 
-def disturbance_figure(equations: Equations, time: Array, shown: Shown) -> Figure:
+def disturbance_figure(equations: Equations, time: Array, shown: Shown, read: ShownTime) -> Figure:
     """Return each disturbance with its estimates and their bands of two standard deviations."""
+    time = read.of(time)
     traces, labels, ranges = [], [], []
     for j, name in enumerate(equations.disturbances):
         drawn = [("online", shown.online, _ONLINE), ("smoothed", shown.smoothed, _SMOOTHED)]
@@ -33,11 +35,12 @@ def disturbance_figure(equations: Equations, time: Array, shown: Shown) -> Figur
         labels.append(_label(name, equations))
         ends = [one.d[:, j] + sign * one.std[:, j] for _, one, _ in drawn for sign in (-2.0, 2.0)]
         ranges.append(_usual(ends))
-    return _figure(traces, labels, ranges, "time [s]")
+    return _figure(traces, labels, ranges, read.label)
 
 
-def residual_figure(equations: Equations, time: Array, shown: Shown) -> Figure:
+def residual_figure(equations: Equations, time: Array, shown: Shown, read: ShownTime) -> Figure:
     """Return the residuals of each output with their band of two standard deviations."""
+    time = read.of(time)
     traces, labels, ranges = [], [], []
     for i, name in enumerate(equations.outputs):
         residual, bar = shown.residual[:, i], 2.0 * shown.residual_std[:, i]
@@ -49,7 +52,7 @@ def residual_figure(equations: Equations, time: Array, shown: Shown) -> Figure:
         )
         labels.append(_label(name, equations))
         ranges.append(_usual([residual, -bar, bar]))
-    return _figure(traces, labels, ranges, "time [s]")
+    return _figure(traces, labels, ranges, read.label)
 
 
 def correlation_figure(equations: Equations, shown: Shown) -> Figure:

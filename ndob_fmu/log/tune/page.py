@@ -17,6 +17,7 @@ from ndob_fmu.errors import NdobError
 from ndob_fmu.log.tune.figures import correlation_figure, disturbance_figure, residual_figure
 from ndob_fmu.log.tune.settings import Settings, noise_names, rate_names, save
 from ndob_fmu.log.tune.workbench import Shown, Workbench
+from ndob_fmu.results.shown_time import shown_time
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 
 # A slider reaches so many powers of ten below and above what was told.
@@ -91,9 +92,10 @@ def page(workbench: Workbench, title: str, folder: Path) -> Dash:
         except NdobError as error:
             return [no_update] * 4 + [str(error), *texts]
         eq, time = workbench.equations, workbench.stretch.log.time
+        read = shown_time(float(time[0]), workbench.stretch.usual)
         figures = [
-            disturbance_figure(eq, time, shown),
-            residual_figure(eq, time, shown),
+            disturbance_figure(eq, time, shown, read),
+            residual_figure(eq, time, shown, read),
             correlation_figure(eq, shown),
         ]
         return [*figures, _diagnoses(shown), "", *texts]
