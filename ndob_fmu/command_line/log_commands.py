@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ndob_fmu.command_line.options import MODEL_HELP, NATIVE, Commands, add_command, assignments, pairs
+from ndob_fmu.command_line.options import MODEL_HELP, NATIVE, Commands, add_command, assignments, command_text, pairs
 from ndob_fmu.support.extras import extra
 from ndob_fmu.support.progress import PATIENCE, shown_after
 
@@ -103,8 +103,16 @@ def _fit(options: argparse.Namespace) -> int:
     fitted = fit_log(model, options.log, out, free=options.free, hold=options.hold, **_told(options))
     print(_fit_text(fitted, model.units))
     path = out / FIT
-    print(f"{path}: `ndob-fmu estimate {options.model} {options.log} --start-values-file {path}` uses it")
+    print(f"{path}: `{_estimate_with(options, path)}` uses it")
     return 0
+
+
+def _estimate_with(options: argparse.Namespace, start_values: Path) -> str:
+    """Return the command that estimates with start values along the log of another command."""
+    words = ["ndob-fmu", "estimate", options.model, str(options.log)]
+    for option, given in (("--map", options.map), ("--unit", options.unit)):
+        words += [option, *given] if given else []
+    return command_text([*words, "--start-values-file", str(start_values)])
 
 
 def _tune(options: argparse.Namespace) -> int:
@@ -125,6 +133,7 @@ def _tune(options: argparse.Namespace) -> int:
 
 def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
     """Return what was found, and how sure it is."""
+    from ndob_fmu.log.fit.fit_log import FIT
 
     def each(told: Mapping[str, Told]) -> str:
         return ", ".join(
@@ -140,6 +149,7 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
         f"the disturbance {kind}{jumps}: disturbance_order {found.order}; log-likelihood of a sample of the "
         + (f"{found.held_out} held-out rows: {judged}" if judged else "rows; none was held out"),
         f"parameters: {each(found.parameters) or 'none fitted'}",
+        f"± is two standard deviations; an entry <name>_std of {FIT} is one",
         *(
             f"map of {name}: {' and '.join(one.depends_on)} explain {100.0 * one.explained:.0f} % of its mean square; "
             f"{one.rms_with:.3g} RMS of {one.rms_without:.3g} remain in parts of the log that were left out"
@@ -156,7 +166,8 @@ def _estimate(options: argparse.Namespace) -> int:
     out = options.out or Path("results", options.log.stem)
     estimated = estimate_log(load_model(options.model), options.log, out, native=NATIVE / "fmus", **_told(options))
     print(_text(estimated))
-    print(f"{out}: result.csv, summary.json and figures; `ndob-fmu report {out}` makes a page of them")
+    report = command_text(["ndob-fmu", "report", str(out)])
+    print(f"{out}: result.csv, summary.json and figures; `{report}` makes a page of them")
     return 0
 
 

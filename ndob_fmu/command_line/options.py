@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import shlex
+import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -33,6 +36,11 @@ def add_command(
 def as_json(data: Any) -> str:
     """Return data as indented JSON."""
     return json.dumps(data, indent=2)
+
+
+def command_text(words: Sequence[str]) -> str:
+    """Return a command as one types it in the shell of this system: words with spaces are quoted."""
+    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
 
 
 def pairs(option: str, words: Sequence[str]) -> dict[str, str]:

@@ -82,9 +82,9 @@ def columns_of(where: str, header: Sequence[str], signals: Signals) -> Columns:
     if missing := [name for name in signals.all if name not in known]:
         raise UsageError.report(
             where,
-            expected=f"a column {missing[0]}" + (f", and {len(missing) - 1} more" if missing[1:] else ""),
+            expected=f"{'columns' if missing[1:] else 'a column'} {some_of(missing)}",
             received=f"columns {some_of(header)}" if any(header) else "an empty file",
-            likely=f"--map COLUMN={missing[0]} says which it is" if any(header) else "",
+            likely=f"--map COLUMN={missing[0]}{' …' if missing[1:] else ''} says which it is" if any(header) else "",
         )
     chosen = tuple(known[name] for name in signals.all)
     scales = [_scale(signals, column, name) for column, name in zip(chosen, signals.all, strict=True)]

@@ -1,6 +1,7 @@
 """`ndob-fmu fit`: noise, class and pace of the disturbance, and parameters, from logs with a known truth."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -120,13 +121,27 @@ def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys):
     made_log(tmp_path / "log.csv", "walk", 4, rows=900)
     model = tmp_path / "cart.py"
     model.write_text("from tests.log.test_estimate_log import CART as model\n")
-    arguments = [str(model), str(tmp_path / "log.csv"), "--start-values", "lag", "0.1", "--out", str(tmp_path / "out")]
-    assert main(["fit", *arguments]) == 0
+    log, out = tmp_path / "log.csv", tmp_path / "out"
+    log.write_text(log.read_text().replace("place", "Place [mm]", 1))
+    told = ["--map", "Place [mm]=place", "--unit", "Place [mm]=m"]
+    assert main(["fit", str(model), str(log), *told, "--start-values", "lag", "0.1", "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("noise_std: place 0.00")
     assert "±" in lines[0]
     assert "disturbance wanders: disturbance_order 1" in lines[1]
     assert lines[2] == "parameters: none fitted"
+    assert lines[3] == "± is two standard deviations; an entry <name>_std of fit.json is one"
+    assert lines[-1].endswith("` uses it")
+    command = shlex.split(lines[-1].split("`")[1])
+    assert command == [
+        "ndob-fmu",
+        "estimate",
+        str(model),
+        str(log),
+        *told,
+        "--start-values-file",
+        str(out / "fit.json"),
+    ]
     found = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert found["lag"] == 0.1
     assert set(found) > {"place_noise_std", "rate_noise_std", "disturbance_order", "disturbance_rate"}

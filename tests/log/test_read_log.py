@@ -120,7 +120,8 @@ REFUSED = {
     ),
     "a time is missing": ("time,u,y,z\n2,1,2,3\n,1,2,3\n", "row 2: expected a time, received none"),
     "an input without numbers": ("time,u,y,z\n0,,2,3\n1,,2,3\n", "numbers in the column of u"),
-    "no text at all": ("\x00\x01\x02", "expected a column time"),
+    "no text at all": ("\x00\x01\x02", "expected columns time, u, y, z, received"),
+    "several columns": ("a,u,b,c\n0,1,2,3\n", "expected columns time, y, z, received columns a, u, b, c; likely"),
 }
 
 
