@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from ndob_fmu.log.diagnostics import LAGS, OutputDiagnosis
 from ndob_fmu.log.result_table import LOG, OBSERVER, SMOOTHER
@@ -17,6 +20,8 @@ from ndob_fmu.runtime.arrays import Array
 
 # Points of a line: more cannot be seen.
 _POINTS = 20_000
+# Characters that fit beside an axis.
+_LABEL = 24
 
 
 class Thinned:
@@ -66,14 +71,16 @@ def write_figures(
             lines = [(OBSERVER, f"{name}_hat", f"{name}_std", "online", "C0")]
             lines += [(SMOOTHER, name, f"{name}_std", "smoothed", "C3")] if smooths else []
             ends: list[Array] = []
+            drawn: dict[str, tuple[Any, ...]] = {}
             for component, mean, std, label, color in lines:
                 value, bar = kept[f"{component}.{mean}"], 2.0 * kept[f"{component}.{std}"]
-                axes.plot(time, value, color=color, linewidth=1.0, label=f"{label}, ± 2 std")
-                axes.fill_between(time, value - bar, value + bar, color=color, alpha=0.15, linewidth=0.0)
+                (line,) = axes.plot(time, value, color=color, linewidth=1.0)
+                band = axes.fill_between(time, value - bar, value + bar, color=color, alpha=0.15, linewidth=0.0)
+                drawn[f"{label}, ± 2 std"] = (band, line)
                 ends += [value - bar, value + bar]
             _show_usual(axes, ends)
-            axes.set_ylabel(f"{name} [{unit}]")
-            axes.legend(loc="upper right")
+            _label(axes, name, f"[{unit}]")
+        _legend(rows[0], drawn)
         axes.set_xlabel(shown.label)
     with plots.figure(folder / "fig2_outputs.png", rows=2 * len(outputs)) as rows:
         for i, (name, unit) in enumerate(outputs):
@@ -81,22 +88,45 @@ def write_figures(
             # A residual stands in the row behind that of its sample.
             sample, residual = kept[f"{LOG}.{name}"], kept[f"{OBSERVER}.{name}_residual"]
             bar = 2.0 * kept[f"{OBSERVER}.{name}_residual_std"]
-            above.plot(time, sample, color="C0", linewidth=1.0, label="sample")
-            above.set_ylabel(f"{name} [{unit}]")
-            above.legend(loc="upper right")
-            below.plot(time, residual, ".", markersize=1.5, color="C1", label="residual")
-            below.fill_between(time, -bar, bar, color="0.5", alpha=0.25, linewidth=0.0, label="± 2 std")
+            above.plot(time, sample, color="C0", linewidth=1.0)
+            _label(above, name, f"[{unit}]")
+            (dots,) = below.plot(time, residual, ".", markersize=1.5, color="C1")
+            band = below.fill_between(time, -bar, bar, color="0.5", alpha=0.25, linewidth=0.0)
             _show_usual(below, [residual, -bar, bar])
-            below.set_ylabel(f"[{unit}]")
-            below.legend(loc="upper right")
+            _label(below, "residual", f"[{unit}]")
+        _legend(rows[1], {"sample less its prediction": (dots,), "± 2 std": (band,)})
         below.set_xlabel(shown.label)
     with plots.figure(folder / "fig3_residuals.png", rows=len(outputs)) as rows:
         for axes, (name, found) in zip(rows, diagnoses.items(), strict=True):
-            axes.bar(np.arange(1, LAGS + 1), found.correlation, color="C0", width=0.6)
-            axes.axhspan(-found.correlation_band, found.correlation_band, color="0.5", alpha=0.25, linewidth=0.0)
+            bars = axes.bar(np.arange(1, LAGS + 1), found.correlation, color="C0", width=0.6)
+            edge = found.correlation_band
+            chance = axes.axhspan(-edge, edge, color="0.5", alpha=0.25, linewidth=0.0)
             axes.set_ylim(-1.0, 1.0)
-            axes.set_ylabel(f"correlation of {name}'s residuals")
+            _label(axes, name)
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        _legend(rows[0], {"correlation of residuals": (bars,), "by chance, 95 %": (chance,)})
         axes.set_xlabel("samples apart")
+
+
+def _label(axes: Axes, name: str, unit: str = "") -> None:
+    """Label the axis of a value; a long label has two lines, or smaller letters, to stay beside its axis."""
+    line = f"{name} {unit}".rstrip()
+    lines = [line] if len(line) <= _LABEL else [name, unit]
+    small = min(1.0, _LABEL / max(map(len, lines)))
+    axes.set_ylabel("\n".join(filter(None, lines)), fontsize=small * mpl.rcParams["font.size"])
+
+
+def _legend(axes: Axes, drawn: Mapping[str, tuple[Any, ...]]) -> None:
+    """Write a legend above an axis, where it hides no curve."""
+    axes.legend(
+        [*drawn.values()],
+        [*drawn],
+        ncols=len(drawn),
+        markerscale=5.0,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.2,
+    )
 
 
 def _show_usual(axes: Axes, signals: Sequence[Array]) -> None:

@@ -1,6 +1,8 @@
 """`ndob-fmu estimate`: the observer over a log, the smoothed estimate, and what the residuals say."""
 
 import json
+from contextlib import contextmanager
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,10 +11,15 @@ from ndob_fmu.cli import main
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.interface.model_variables import observer_variables
 from ndob_fmu.interface.told_observer import told_observer
+from ndob_fmu.log.diagnostics import OutputDiagnosis
+from ndob_fmu.log.estimate_figures import Thinned, write_figures
 from ndob_fmu.log.estimate_log import estimate_log
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
+from ndob_fmu.results import plots
 from ndob_fmu.results.csv_files import read_csv
+from ndob_fmu.results.recording import Recording
+from ndob_fmu.results.shown_time import ShownTime
 
 NOISE = {"place": 1e-3, "rate": 5e-2}
 CART = Model(
@@ -262,3 +269,32 @@ def test_times_of_a_clock_that_starts_far_from_0_are_shown_from_the_first_row(tm
 
 def test_the_times_of_a_clock_that_starts_near_0_are_shown_as_they_are(usual):
     assert usual[1].shown_time.label == "time [s]"
+
+
+@pytest.mark.parametrize("name", ["h1", "temperature_behind_the_second_heat_exchanger"])
+def test_no_text_of_a_figure_is_cut_off_or_lies_on_another_or_on_a_curve(tmp_path, monkeypatch, name):
+    drawn, original = [], plots.figure
+
+    @contextmanager
+    def figure(path, rows):
+        with original(path, rows) as axes:
+            yield drawn.append(axes) or axes
+
+    monkeypatch.setattr("ndob_fmu.log.estimate_figures.plots.figure", figure)
+    others = ["observer.force_hat", "observer.force_std", "smoother.force", "smoother.force_std"]
+    others += [f"observer.{name}_residual", f"observer.{name}_residual_std"]
+    kept = Thinned()
+    kept.add(Recording(np.arange(50.0), (f"log.{name}", *others), np.random.default_rng(1).random((50, 7))))
+    found = OutputDiagnosis(50, 1.0, 0.1, np.zeros(20), 0.1, 0.0, 1.0)
+    pairs = [("force", "N")], [(name, "K")]
+    write_figures(tmp_path, kept, pairs[0] * 2, pairs[1] * 2, {name: found, "other": found}, ShownTime(), smooths=True)
+    assert len(drawn) == 3
+    for axes in drawn:
+        axes[0].figure.draw_without_rendering()
+        (legend,) = [one.get_legend() for one in axes if one.get_legend()]
+        texts = [legend, *(one.yaxis.label for one in axes), axes[-1].xaxis.label]
+        boxes = [text.get_window_extent() for text in texts]
+        whole = axes[0].figure.bbox
+        assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in boxes)
+        assert not any(first.overlaps(second) for first, second in combinations(boxes, 2))
+        assert not any(boxes[0].overlaps(one.bbox) for one in axes)

@@ -31,7 +31,7 @@ def disturbance_figure(equations: Equations, time: Array, shown: Shown, read: Sh
         drawn = [("online", shown.online, _ONLINE), ("smoothed", shown.smoothed, _SMOOTHED)]
         drawn += [("lagged", shown.lagged, _LAGGED)] if shown.lagged is not None else []
         for label, band, color in drawn:
-            traces += _with_band(j, time, band, j, f"{label}, ± 2 std", color)
+            traces += _with_band(j, time, band, j, label, color)
         labels.append(_label(name, equations))
         ends = [one.d[:, j] + sign * one.std[:, j] for _, one, _ in drawn for sign in (-2.0, 2.0)]
         ranges.append(_usual(ends))
@@ -102,7 +102,7 @@ def _with_band(panel: int, time: Array, band: Band, j: int, name: str, color: tu
     value, bar = band.d[:, j], 2.0 * band.std[:, j]
     rows = thinned(value)
     line = _trace(panel, time[rows], value[rows], name)
-    shade = _band(panel, time, value - bar, value + bar, name, _rgb(color, 0.16), show=False)
+    shade = _band(panel, time, value - bar, value + bar, f"{name} ± 2 std", _rgb(color, 0.16), show=panel == 0)
     return [
         {**shade, "legendgroup": name},
         {**line, "legendgroup": name, "showlegend": panel == 0, "line": {"width": 1.4, "color": _rgb(color)}},
