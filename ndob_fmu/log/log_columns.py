@@ -66,16 +66,21 @@ def columns_of(where: str, header: Sequence[str], signals: Signals) -> Columns:
                 f"--map {column}={name}",
                 expected=one_of("signal", signals.all, name),
                 received=repr(name),
-                likely=nearest(name, signals.all),
+                likely=_turned_round("--map", column, name, header)
+                if column in signals.all
+                else nearest(name, signals.all),
             )
     for option, columns in (("--map", signals.names), ("--unit", signals.units)):
-        for column in columns:
+        for column, right in columns.items():
             if column not in header:
                 raise UsageError.report(
                     f"{option} {column}",
                     expected=f"a column of {where}",
                     received=repr(column),
-                    likely=nearest(column, header) or f"it has {some_of(header)}",
+                    likely=_turned_round(option, column, right, header)
+                    or _own_name(option, column, right, signals)
+                    or nearest(column, header)
+                    or f"it has {some_of(header)}",
                 )
     known = {column: column for column in header if column not in signals.names}
     known |= {name: column for column, name in signals.names.items()}
@@ -90,6 +95,17 @@ def columns_of(where: str, header: Sequence[str], signals: Signals) -> Columns:
     scales = [_scale(signals, column, name) for column, name in zip(chosen, signals.all, strict=True)]
     factor, offset = np.array(scales).T
     return Columns(tuple(list(header).index(column) for column in chosen), chosen, factor, offset)
+
+
+def _turned_round(option: str, left: str, right: str, header: Sequence[str]) -> str:
+    """Return the likely cause of an assignment whose right side is a column; empty where it is none."""
+    return f'it is the other way round: {option} "{right}={left}"' if right in header else ""
+
+
+def _own_name(option: str, name: str, right: str, signals: Signals) -> str:
+    """Return the likely cause where a signal has the model's name in place of its column's; empty for other names."""
+    column = next((column for column, own in signals.names.items() if own == name), None)
+    return "" if column is None else f'a column has its name in the log: {option} "{column}={right}"'
 
 
 def _scale(signals: Signals, column: str, name: str) -> tuple[float, float]:

@@ -21,6 +21,8 @@ BLOCK = 30_000  # rows: the smoother keeps some kilobytes of each
 _SEPARATORS = (",", ";", "\t")
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
 _TRUTH = {"true": 1.0, "false": 0.0}
+_DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}|\d{1,2}:\d{2}")
+_WITH_UNIT = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*[^\W\d_][\w/.^*]*|[+-]?\d[\d.,]*\s*[%°]\w?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 
@@ -120,7 +122,7 @@ def _csv(where: str, signals: Signals, block: int) -> Iterator[Array]:
             columns = columns_of(where, header, signals)
             rows: list[list[float]] = []
             for number, row in enumerate(csv.reader(lines, delimiter=separator, skipinitialspace=True), 1):
-                rows.append(_numbers(f"{where}, row {number}", row, columns, len(header), separator))
+                rows.append(_numbers(where, number, row, columns, len(header), separator))
                 if len(rows) == block:
                     yield columns.converted(np.array(rows))
                     rows = []
@@ -130,26 +132,26 @@ def _csv(where: str, signals: Signals, block: int) -> Iterator[Array]:
         raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
 
 
-def _numbers(where: str, row: list[str], columns: Columns, width: int, separator: str) -> list[float]:
-    """Return the numbers of a row in the columns that are read."""
+def _numbers(where: str, number: int, row: list[str], columns: Columns, width: int, separator: str) -> list[float]:
+    """Return the numbers of a row, whose own number counts from 1 on, in the columns that are read."""
     try:
         return [float(row[place]) for place in columns.places]
     except (ValueError, IndexError):
         pass
     if len(row) != width:
         raise UsageError.report(
-            where,
+            f"{where}, row {number}",
             expected=f"{width} entries, as in the header",
             received=str(len(row)),
             likely="the file was cut off, or has another separator",
         )
     return [
-        _number(f"{where}, column {name}", row[place].strip(), separator)
+        _number(f"{where}, row {number}, column {name}", row[place].strip(), separator, is_first=number == 1)
         for place, name in zip(columns.places, columns.names, strict=True)
     ]
 
 
-def _number(where: str, text: str, separator: str) -> float:
+def _number(where: str, text: str, separator: str, *, is_first: bool) -> float:
     word = text.lower()
     if word in _MISSING:
         return nan
@@ -160,7 +162,21 @@ def _number(where: str, text: str, separator: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise UsageError.report(where, expected="a number", received=repr(text[:40])) from None
+        likely = _no_number(text, is_first=is_first)
+        raise UsageError.report(where, expected="a number", received=repr(text[:40]), likely=likely) from None
+
+
+def _no_number(text: str, *, is_first: bool) -> str:
+    """Return the likely cause of an entry that is no number; empty where none is known."""
+    if _DECIMAL_COMMA.fullmatch(text):
+        return "a decimal comma, in a file that is separated by commas; write semicolons between the entries"
+    if _DATE.match(text):
+        return "a date or a time of day; write the time in seconds, or in another unit that --unit names"
+    if _WITH_UNIT.fullmatch(text):
+        return "a unit behind the number; leave it out, --unit can name it"
+    if is_first and not any(map(str.isdigit, text)):
+        return "a second row of the header, as of units; delete it, --unit can name the units"
+    return ""
 
 
 def _parquet(where: str, signals: Signals, block: int) -> Iterator[Array]:

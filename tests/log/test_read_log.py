@@ -112,6 +112,14 @@ REFUSED = {
     "one row": ("time,u,y,z\n0,1,2,3\n", "received 1 with one time"),
     "a column is missing": ("time,u,y\n0,1,2\n", "a column z"),
     "text": ("time,u,y,z\n0,1,2,3\n1,1,on,3\n", "row 2, column y: expected a number, received 'on'"),
+    "decimal commas between commas": (
+        'time,u,y,z\n0,1,2,"3,5"\n',
+        "received '3,5'; likely cause: a decimal comma, in a",
+    ),
+    "a date": ("time,u,y,z\n2026-11-30T06:00:00,1,2,3\n", "a date or a time of day; write the time in seconds"),
+    "a time of day": ("time,u,y,z\n06:00:00.5,1,2,3\n", "a date or a time of day"),
+    "a row of units": ("time,u,y,z\ns,N,m,[m/s]\n0,1,2,3\n", "a second row of the header, as of units; delete it"),
+    "a unit behind a number": ("time,u,y,z\n0,1,2.5 mm,3\n", "a unit behind the number; leave it out"),
     "a short row": ("time,u,y,z\n0,1,2,3\n1,1\n", "row 2: expected 4 entries, as in the header, received 2"),
     "a time goes back": ("time,u,y,z\n2,1,2,3\n1,1,2,3\n", "row 2: expected a time of at least 2 s"),
     "a clock goes back": (
@@ -149,6 +157,20 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path, text, part, block):
 )
 def test_names_and_units_that_do_not_fit_are_refused(tmp_path, names, units, part):
     path = written(tmp_path, PLAIN)
+    with pytest.raises(UsageError, match=part):
+        list(read_log(path, Signals(["u"], ["y", "z"], {"y": "rad"}, names, units)))
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "part"),
+    [
+        ({"y": "LT 1"}, {}, 'it is the other way round: --map "LT 1=y"'),
+        ({"LT 1": "y"}, {"deg": "LT 1"}, 'it is the other way round: --unit "LT 1=deg"'),
+        ({"LT 1": "y"}, {"y": "deg"}, 'a column has its name in the log: --unit "LT 1=deg"'),
+    ],
+)
+def test_a_name_on_the_wrong_side_is_told_with_the_right_one(tmp_path, names, units, part):
+    path = written(tmp_path, PLAIN.replace("y", "LT 1"))
     with pytest.raises(UsageError, match=part):
         list(read_log(path, Signals(["u"], ["y", "z"], {"y": "rad"}, names, units)))
 
