@@ -50,10 +50,11 @@ def one_of(kind: str, names: Iterable[str], received: object = None) -> str:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return the likely cause of an unknown name: the known one that is nearest; empty if none is near.
 
-    Those that only have more in front are nearest: of `noise_std`, all `<output>_noise_std`.
+    Those that only have more in front, or more behind a dot, are nearest: of `noise_std`, all `<output>_noise_std`, of
+    `disturbance_bound`, all `disturbance_bound.<name>`.
     """
     names = list(known)
-    longer = [other for other in names if other.endswith(f"_{name}")]
+    longer = [other for other in names if other.endswith(f"_{name}") or other.startswith(f"{name}.")]
     near = longer or difflib.get_close_matches(name, names, n=1)
     return f"did you mean {some_of(map(repr, near), between=' or ')}?" if near else ""
 

@@ -57,8 +57,9 @@ def require_own_part(model: Model) -> None:
 
 def _require_units(model: Model) -> None:
     """Raise ModelError for a text that is no unit; a Model itself does not load the library that knows them."""
-    for unit in sorted({*model.units.values()} - {""}):
-        base_unit(unit)
+    names = {unit: name for name, unit in model.units.items() if unit}
+    for unit, name in sorted(names.items()):
+        base_unit(unit, f"{model.name}.units, {name}")
 
 
 def _report(

@@ -9,7 +9,7 @@ import numpy as np
 
 from ndob_fmu.errors import UsageError, nearest, one_of, some_of
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.support.units import Unit
+from ndob_fmu.support.units import Unit, likely_unit
 
 TIME = "time"
 
@@ -122,6 +122,9 @@ def _scale(signals: Signals, column: str, name: str) -> tuple[float, float]:
     found = Unit(unit).to(Unit(own))
     if found is None:
         raise UsageError.report(
-            f"--unit {column}={unit}", expected=f"a unit that can become {own}, that of {name}", received=repr(unit)
+            f"--unit {column}={unit}",
+            expected=f"a unit that can become {own}, that of {name}",
+            received=repr(unit),
+            likely=likely_unit(unit),
         )
     return found

@@ -5,16 +5,19 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import sympy
 
-from ndob_fmu.errors import ModelError, some_of
+from ndob_fmu.errors import ModelError, NdobError, nearest, one_of, some_of
 
 # f(x, u, p), n(x, u, p) or h(x, u, p), with the names as attributes of x, u and p; ẋ(x, u, d, p) has d besides.
 Nonlinearity = Callable[[Any, Any, Any], Sequence[Any]]
 Function = Callable[[Any, Any, Any, Any], Sequence[Any]]
+
+_KINDS = {"x": "state", "u": "input", "d": "disturbance", "p": "parameter"}
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,12 @@ class Expressions:
         except (AttributeError, TypeError, NameError, sympy.SympifyError) as error:
             if isinstance(error, AttributeError | NameError) and _raised_in_sympy(error):
                 raise
+            where = f"{self.model}.{label}{_place(error)}"
+            for letter, space in zip(groups, spaces, strict=True):
+                if isinstance(error, AttributeError) and error.obj is space:
+                    raise _no_such_name(where, letter, str(error.name), groups) from error
             raise ModelError.report(
-                f"{self.model}.{label}",
+                where,
                 expected=f"{_returned(label, groups)} in their attributes",
                 received=_one_line(error),
                 likely="a name that is not declared, math.sin in place of sympy.sin, or a missing list",
@@ -130,6 +137,27 @@ class Expressions:
 def same_matrix(one: sympy.MatrixBase, other: sympy.MatrixBase) -> bool:
     """Return whether two matrices are equal as numbers; SymPy's own == holds 1.0 and 1 to be different."""
     return one.shape == other.shape and all((a - b).is_zero for a, b in zip(one, other, strict=True))
+
+
+def _no_such_name(where: str, letter: str, name: str, groups: Mapping[str, Sequence[str]]) -> NdobError:
+    """Return the error of a name that a group does not have, by the group's letter."""
+    other = next((f"{other}.{name}" for other, names in groups.items() if name in names), "")
+    return ModelError.report(
+        where,
+        expected=one_of(_KINDS[letter], groups[letter], name),
+        received=f"{letter}.{name}",
+        likely=f"did you mean '{other}'?" if other else nearest(name, groups[letter]) or "a name that is not declared",
+    )
+
+
+def _place(error: Exception) -> str:
+    """Return the line of a user's function where an error comes from; empty where it does not come from one."""
+    own = [
+        (Path(frame.f_code.co_filename).name, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if str(frame.f_globals.get("__name__")).partition(".")[0] not in ("ndob_fmu", "sympy")
+    ]
+    return f", line {own[-1][1]} of {own[-1][0]}" if own else ""
 
 
 def _raised_in_sympy(error: Exception) -> bool:

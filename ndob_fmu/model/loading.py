@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import importlib
+import re
 import runpy
 import traceback
 import zipfile
+from dataclasses import fields
 from pathlib import Path
 
-from ndob_fmu.errors import ModelError, NdobError, some_of
+from ndob_fmu.errors import ModelError, NdobError, nearest, some_of
 from ndob_fmu.model.model import Model
+from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults
 from ndob_fmu.support.progress import begin
 
 BUILT_IN = ("flexible_joint",)
@@ -50,6 +53,7 @@ def load_model(source: str | Path) -> Model:
             str(path),
             expected="a Python file that runs",
             received=" ".join(f"{type(error).__name__}: {error}".split()) + (f" (line {line})" if line else ""),
+            likely=_likely_field(error),
         ) from error
     if not isinstance(model, Model):
         raise ModelError.report(
@@ -58,3 +62,13 @@ def load_model(source: str | Path) -> Model:
             received="no `model`" if model is None else f"`model` of type {type(model).__name__}",
         )
     return model
+
+
+def _likely_field(error: BaseException) -> str:
+    """Return the likely cause of a field that a model, or a part of it, does not have; empty for other errors."""
+    found = re.search(r"(\w+)\.__init__\(\) got an unexpected keyword argument '(\w+)'", str(error))
+    known = {of.__name__: of for of in (Model, ObserverDefaults, SignalDefaults, Experiment)}
+    if not found or found[1] not in known:
+        return ""
+    names = [field.name for field in fields(known[found[1]]) if field.init]
+    return nearest(found[2], names) or f"the fields are {some_of(names)}"

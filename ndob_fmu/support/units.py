@@ -26,6 +26,10 @@ _NAMES = {
 }
 
 
+# Letters of a symbol, at most.
+_SYMBOL = 3
+
+
 @dataclass(frozen=True)
 class BaseUnit:
     """What a unit means: a value v of it is factor · v + offset in the base units.
@@ -57,8 +61,10 @@ class BaseUnit:
         return found
 
 
-def base_unit(name: str) -> BaseUnit | None:
+def base_unit(name: str, where: str = "") -> BaseUnit | None:
     """Return what a unit in Modelica's notation means; None for a broken power like cm2.5, for which FMI has no form.
+
+    where: whose unit it is, for the message
 
     Raises ModelError for a text that is not a unit.
     """
@@ -71,14 +77,41 @@ def base_unit(name: str) -> BaseUnit | None:
     except _not_a_unit() as error:
         _registry().Quantity(1.0, "kg").to_base_units()  # raises where the fault is the library's, not the text's
         raise ModelError.report(
-            f"unit {name!r}",
+            where or f"unit {name!r}",
             expected="a unit of physics, like N.m, rad/s or kg.m2",
             received=f"{name!r} ({' '.join(str(error).split())})",
+            likely=likely_unit(name),
         ) from error
     if not all(power.is_integer() for power in powers.values()):
         return None
     factor, offset = float(one.magnitude - zero.magnitude), float(zero.magnitude)
     return BaseUnit(tuple(int(powers.get(base, 0)) for base in BASE_UNITS), factor, offset)
+
+
+def likely_unit(text: str) -> str:
+    """Return the likely cause of a text that is no unit: Volt in place of V, Nm in place of N.m; empty for others."""
+    meant = re.sub(r"[A-Za-z]+", lambda word: _as_units(word[0]), text)
+    return "" if meant == text else f"did you mean {meant!r}?"
+
+
+def _as_units(word: str) -> str:
+    """Return a word in the symbols of units, as it is where there are none."""
+    if _is_unit(word):
+        return word
+    if _is_unit(word.lower()):
+        symbol = f"{_registry().parse_units(word.lower()):~}"
+        return symbol if symbol.isascii() and symbol.isalpha() else word.lower()
+    halves = ((word[:k], word[k:]) for k in range(len(word) - 1, 0, -1))
+    two = next((pair for pair in halves if all(len(half) <= _SYMBOL and _is_unit(half) for half in pair)), (word,))
+    return ".".join(two)
+
+
+def _is_unit(word: str) -> bool:
+    try:
+        _registry().parse_units(word)
+    except _not_a_unit():
+        return False
+    return True
 
 
 def _not_a_unit() -> tuple[type[Exception], ...]:

@@ -40,21 +40,38 @@ MISTAKES = {
     "a derivative is missing": ("dynamics=lambda x, u, d, p: [x.rate]", ["2 expressions", "received 1"]),
     "a start value is missing": ("x0=[1.0]", ["Cart.x0: expected 2 finite numbers"]),
     "an empty range": ("ranges={'rate': (1.0, 1.0)}", ["ranges, rate", "the same or exchanged"]),
-    "an undefined state": ("dynamics=lambda x, u, d, p: [x.speed, d.wind]", ["attribute 'speed'", "not declared"]),
-    "an undefined parameter": ("dynamics=lambda x, u, d, p: [x.rate, p.gain * d.wind]", ["attribute 'gain'"]),
+    "an undefined state": ("dynamics=lambda x, u, d, p: [x.speed, d.wind]", ["line 15 of cart.py", "received x.speed"]),
+    "a misspelt state": (
+        "dynamics=lambda x, u, d, p: [x.rat, d.wind]",
+        ["dynamics, line 15 of cart.py: expected one of the states place, rate, received x.rat", "mean 'rate'?"],
+    ),
+    "a state by the wrong letter": (
+        "dynamics=lambda x, u, d, p: [u.rate, d.wind]",
+        ["expected the input force, received u.rate; likely cause: did you mean 'x.rate'?"],
+    ),
+    "an undefined parameter": (
+        "dynamics=lambda x, u, d, p: [x.rate, p.gain * d.wind]",
+        ["one of the parameters mass, drag", "p.gain", "not declared"],
+    ),
     "an undefined symbol": (
         "dynamics=lambda x, u, d, p: [x.rate, sympy.Symbol('gain') * d.wind]",
         ["received the symbol 'gain'"],
     ),
     "an undefined name of Python": (
         "dynamics=lambda x, u, d, p: [x.rate, gain * d.wind]",
-        ["name 'gain' is not defined"],
+        ["dynamics, line 15 of cart.py", "name 'gain' is not defined"],
     ),
     "an undefined function": (
         "dynamics=lambda x, u, d, p: [x.rate, sympy.Function('friction')(x.rate) + d.wind]",
         ["received friction(rate)", "an undefined function"],
     ),
-    "an invalid unit": ("units={'place': 'meterz'}", ["unit 'meterz': expected a unit of physics"]),
+    "an invalid unit": ("units={'place': 'meterz'}", ["units, place: expected a unit of physics", "'meterz'"]),
+    "a unit in words": ("units={'place': 'Volt'}", ["units, place: expected a unit of physics", "did you mean 'V'?"]),
+    "an unknown field": ("disturbance_bounds=2.0", ["disturbance_bounds", "did you mean 'disturbance_bound'?"]),
+    "an unknown field of a part": (
+        "experiment=Experiment(step=0.1)",
+        ["Experiment.__init__() got an unexpected keyword argument 'step'", "did you mean 'step_size'?"],
+    ),
     "a unit that is no text": ("units={'place': 3}", ["Cart, text of place"]),
     "an unknown method": ("observer=ObserverDefaults(method=3)", ["Cart.observer.method: expected 1 or 2, received 3"]),
     "an order that is too high": ("observer=ObserverDefaults(disturbance_order=7)", ["0, 1, 2 or 3, received 7"]),

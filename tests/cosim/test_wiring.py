@@ -12,7 +12,7 @@ import pytest
 import ndob_fmu
 from ndob_fmu.cosim import System, Variable, simulate
 from ndob_fmu.errors import CouplingError, ModelError, UsageError
-from ndob_fmu.support.units import BaseUnit, base_unit
+from ndob_fmu.support.units import BaseUnit, base_unit, likely_unit
 from tests.helpers.mock_components import Mock, constant, gain, integrator
 
 PLANT = [Variable("motor_torque", "input", unit="N.m"), Variable("load_torque", "input", unit="N.m")]
@@ -378,3 +378,11 @@ def test_an_error_inside_the_library_of_units_is_not_blamed_on_the_unit(monkeypa
 def test_a_text_that_is_no_unit_is_reported_as_such(text):
     with pytest.raises(ModelError, match="expected a unit of physics"):
         base_unit(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("Volt", "V"), ("Newton.Meter", "N.m"), ("kgm2", "kg.m2"), ("bananas", "")],
+)
+def test_a_unit_in_words_or_without_its_dot_is_told_as_it_is_written(text, meant):
+    assert likely_unit(text) == (f"did you mean {meant!r}?" if meant else "")

@@ -152,6 +152,7 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path, text, part, block):
         ({"y": "speed"}, {}, "--map y=speed: expected"),
         ({}, {"a": "deg"}, "--unit a: expected a column of"),
         ({}, {"y": "kg"}, "--unit y=kg: expected a unit that can become rad"),
+        ({}, {"y": "Deg"}, "likely cause: did you mean 'deg'?"),
         ({}, {"z": "mm"}, "--unit z=mm: expected a unit of z in the model"),
     ],
 )

@@ -46,7 +46,10 @@ def test_the_plant_itself_is_accepted():
         ),
         ({"dynamics": lambda x, u, d, p: [x.rate]}, ["2 expressions, the derivatives of place, rate", "received 1"]),
         ({"dynamics": lambda x, u, p: [x.rate, u.force]}, ["dynamics(x, u, d, p) returning a list"]),
-        ({"dynamics": lambda x, u, d, p: [x.rate, u.push]}, ["dynamics(x, u, d, p)", "push", "not declared"]),
+        (
+            {"dynamics": lambda x, u, d, p: [x.rate, u.push]},
+            ["Cart.dynamics, line", "the input force, received u.push", "not declared"],
+        ),
         ({"dynamics": lambda x, u, d, p: [x.rate, sympy.Symbol("gravity")]}, ["received the symbol 'gravity'"]),
         (
             {"dynamics": lambda x, u, d, p: [x.rate, d.wind * d.slope]},
@@ -60,7 +63,7 @@ def test_the_plant_itself_is_accepted():
         ),
         (
             {"outputs": {"speed": lambda x, u, p: x.velocity}},
-            ["outputs, speed: expected h(x, u, p) returning a SymPy", "velocity"],
+            ["outputs, speed, line", "one of the states place, rate, received x.velocity"],
         ),
         (
             {"outputs": {"speed": lambda x, u, p: [x.rate]}},

@@ -378,7 +378,7 @@ def nested_if(x, u, p):
 @pytest.mark.parametrize(
     ("f", "says"),
     [
-        (lambda x, u, p: [x.angle, 0, 0], "no attribute 'angle'"),
+        (lambda x, u, p: [x.angle, 0, 0], "received x.angle"),
         (lambda x, u, p: x.a, "is not iterable"),
         (lambda x, u, p: [np.sin(x.a), 0, 0], "has no"),
         (lambda x, u: [x.a, 0, 0], "takes 2 positional arguments"),

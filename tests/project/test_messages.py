@@ -90,6 +90,11 @@ def test_the_names_that_have_more_in_front_are_the_nearest_of_a_name():
     assert nearest("noise_std", known) == "did you mean 'angle_noise_std' or 'pressure_of_the_oil_noise_std'?"
 
 
+def test_a_name_that_each_disturbance_has_is_nearest_with_these():
+    known = ["disturbance_order", "disturbance_bound.wind", "disturbance_bound.slope"]
+    assert nearest("disturbance_bound", known) == "did you mean 'disturbance_bound.wind' or 'disturbance_bound.slope'?"
+
+
 LARGE = 3000
 
 
