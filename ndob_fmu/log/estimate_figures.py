@@ -90,7 +90,8 @@ def write_figures(
             bar = 2.0 * kept[f"{OBSERVER}.{name}_residual_std"]
             above.plot(time, sample, color="C0", linewidth=1.0)
             _label(above, name, f"[{unit}]")
-            (dots,) = below.plot(time, residual, ".", markersize=1.5, color="C1")
+            # Thousands of dots are slow in a vector file, to write and to look at.
+            (dots,) = below.plot(time, residual, ".", markersize=1.5, color="C1", rasterized=True)
             band = below.fill_between(time, -bar, bar, color="0.5", alpha=0.25, linewidth=0.0)
             _show_usual(below, [residual, -bar, bar])
             _label(below, "residual", f"[{unit}]")
