@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.emps.model import model
-from benchmarks.emps.page import FREE, fitted_table, table, write
+from benchmarks.emps.page import FREE, fitted_table, map_table, table, write
 from benchmarks.emps.record import LAG, estimates, pulses, read, write_log
 from ndob_fmu.log.estimate_log import estimate_log
 from ndob_fmu.log.fit.fit_log import fit_log
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_log(folder / "measured.csv", measured, 0.0 * force)
         write_log(folder / "pulses.csv", measured, force)
         fitted = fit_log(model, folder / "measured.csv", folder / "fit", free=FREE, start_values={"lag": LAG})
-        print(fitted_table(fitted))
+        print(fitted_table(fitted), map_table(fitted), sep="\n\n", end="\n\n")
         estimate_log(model, folder / "pulses.csv", folder / "out", start_values=fitted.start_values)
         found = estimates(read_csv(folder / "out" / RESULT), force)
     print(table(measured.t, found))

@@ -3,6 +3,7 @@
     mass · v̇ = gain · voltage − viscous · v − coulomb · sign(v) − offset + force,   ẋ = v
 
 tanh(v / 1 mm/s) stands for sign(v). The parameters are theirs. SI units; the voltage is the one of the current loop.
+What friction and the place do beyond that is a map, which `fit` learns.
 """
 
 import sympy
@@ -39,6 +40,7 @@ model = Model(
     ranges={"velocity": (-1.0, 1.0), "voltage": (-10.0, 10.0)},
     noise_std={"position": 1e-6},
     disturbance_bound=300.0,
+    disturbance_map={"force": {"velocity": "friction", "position": "place"}},
     x0=[0.0, 0.0],
     xhat0=[0.0, 0.0],
     xhat0_std=[0.01, 0.01],

@@ -50,6 +50,19 @@ def fitted_table(fitted: Fitted) -> str:
     return "\n".join(lines)
 
 
+def map_table(fitted: Fitted) -> str:
+    """Return the table of what the maps explain."""
+    lines = [
+        "| the part of the disturbance that depends on | share of its mean square | RMS without | RMS with |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {', '.join(one.depends_on)} | {one.explained:.0%} | {one.rms_without:.2f} N | {one.rms_with:.2f} N |"
+        for one in fitted.maps.values()
+    ]
+    return "\n".join(lines)
+
+
 def draw_whole(t: Array, found: Sequence[Estimate]) -> Drawing:
     """Draw the force and its smoothed estimate over the record, and the errors of all estimates below."""
     with mpl.rc_context(_STYLE):
@@ -112,6 +125,7 @@ def write(folder: Path, fitted: Fitted, t: Array, found: Sequence[Estimate]) -> 
         rows=len(t),
         errors=table(t, found),
         fitted=fitted_table(fitted),
+        maps=map_table(fitted),
         warnings="".join(f"\n> {line}\n" for line in fitted.warnings),
     )
     with atomic_path(folder / PAGE) as temporary:
@@ -127,7 +141,7 @@ _TEXT = """\
 ![The made force, its smoothed estimate and the errors]({whole})
 
 A motor drives a load along a linear guide by a spindle. Janot, Gautier and Brunot measured the record, {stop:.1f} s in
-{rows} rows, on a real drive in closed loop. Its friction is not exactly that of the model.
+{rows} rows, on a real drive in closed loop. Its friction is not exactly that of the equations below.
 
 **Measured**: the position, by an encoder, every millisecond. **Known**: the voltage of the current loop. **Unknown**: a
 force on the load.
@@ -151,7 +165,12 @@ It does the same as these commands; measured.csv is the record, and in pulses.cs
 
 {fitted}
 
-What `fit` says of it:
+The model says that a part of the force is a function of the velocity, as friction, and of the position. `fit` learns
+that part. Of tenths of the record that were left out, it explains:
+
+{maps}
+
+What `fit` says besides:
 {warnings}
 ## Figures
 
@@ -159,10 +178,9 @@ What `fit` says of it:
 
 The first 0.2 s are not judged. "Away from the edges" leaves out {before:g} ms before an edge and {after:g} ms after it.
 The online estimate cannot know a jump before samples show it, so most of its error is there. Later samples show where
-the jump was. What is left is an error of the model: the parameters that were told leave as much in the record without
-pulses, as `fit` says. The observer finds this force too. It is not in the made one, so that the narrow bands of the
-later estimates hold fewer than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another
-day would be a harder test.
+the jump was. What is left is an error of the model: ripple of the spindle, and friction when the drive turns. The
+observer finds this force too. It is not in the made one, so that the narrow bands of the later estimates hold fewer
+than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another day would be a harder test.
 
 ![Each estimate with its error bar around an edge]({edge})
 

@@ -14,6 +14,7 @@ from benchmarks.emps.page import EDGE, FREE, PAGE, TITLE, WHOLE
 from benchmarks.emps.record import FORCE, Estimate, pulses, read, score
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.fit.fit_log import Fitted, Told
+from ndob_fmu.log.fit.map_step import LearnedMap
 from ndob_fmu.log.made_log import Sensor, make_log
 from tests.log.test_made_log import columns
 
@@ -66,7 +67,8 @@ def test_the_script_finds_the_pulses_of_a_made_record_and_writes_its_page(made, 
     """`fit` takes seconds and has tests of its own."""
     values = {"position_noise_std": 1e-7, "disturbance_order": 1, "disturbance_rate": 1e3, "lag": 0.02}
     told = dict.fromkeys(FREE, Told(1.0, 0.1))
-    fitted = Fitted(560, 240, 1, True, 0, 0, {"position": Told(1e-7, 1e-9)}, {}, told, {}, {}, ("a line",), values)
+    maps = {"force": LearnedMap(("friction of velocity",), 4.0, 1.0)}
+    fitted = Fitted(560, 240, 1, True, 0, 0, {"position": Told(1e-7, 1e-9)}, {}, told, maps, {}, ("a line",), values)
     monkeypatch.setattr("benchmarks.emps.__main__.fit_log", lambda *_, **__: fitted)
     assert main([str(made), "--out", str(tmp_path)]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted((PAGE, WHOLE, EDGE))
@@ -75,6 +77,7 @@ def test_the_script_finds_the_pulses_of_a_made_record_and_writes_its_page(made, 
     assert float(rows[2][0]) < 0.05 * FORCE
     page = (tmp_path / PAGE).read_text("utf-8")
     assert "\n> a line\n" in page
+    assert "friction of velocity | 94% |" in page
     assert all(f"| `{name}` | " in page for name in FREE)
     assert np.count_nonzero(np.diff(pulses(read(made).t, 5))) >= 1
 
