@@ -16,6 +16,7 @@ from ndob_fmu.log.fit.map_step import LearnedMap, MapStep, learn_maps
 from ndob_fmu.log.fit.pace import rates_for
 from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
+from ndob_fmu.log.fit.tried_rates import Followed, best_followed
 from ndob_fmu.log.told_values import start_values_text, told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -35,6 +36,8 @@ _LARGER = 1.2
 _SURE = 2.0
 # A jump that is too small to be noticed at once must be followed, too: the part of the mean rate of all jumps.
 _OF_JUMPS = 0.3
+# Rows along which rates are tried.
+_MOST_TRIED = 2000
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,6 @@ def fit_log(
     setup = Setup(model, eq, values, tuple(free), hold)
     setup.check()
     run = setup.online(path, names, units)
-    begin("fitting noise, disturbance and parameters")
     fitted = _fitted(setup, run, given)
     with atomic_folder(folder) as new:
         (new / FIT).write_text(start_values_text(fitted.start_values), "utf-8")
@@ -112,7 +114,7 @@ def fit_log(
 
 
 def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
-    warnings: list[str] = []
+    warnings = [] if run.is_whole else [f"the first {run.rows} rows of the log are fitted, the others are not read"]
     fits = _of_each_order(replace(setup, free=()), run)
     best = _best(fits)
     raised = _raised_bounds(setup, best)
@@ -170,28 +172,30 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
 
 
 def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:
-    problems = {order: setup.problem(run, order) for order in _ORDERS}
-    return {
-        order: fit_class(problem, setup.trajectory(run, problem), most_likely) for order, problem in problems.items()
-    }
+    fits = {}
+    for order in _ORDERS:
+        begin(f"fitting, part {1 + order} of 5: noise, pace and jumps with disturbance_order {order}")
+        problem = setup.problem(run, order)
+        fits[order] = fit_class(problem, setup.trajectory(run, problem), most_likely)
+    return fits
 
 
 def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str]) -> tuple[Setup, ClassFit]:
     """Return the fit of the parameters that the log tells, in the class that was found, and the setup with these."""
     fit = known
     while setup.free:
+        begin(f"fitting, part 4 of 5: {', '.join(setup.free)}")
         problem = setup.problem(run, known.order)
         fit = fit_class(problem, known.trajectory, most_likely)
-        if fit.disturbance_rms > _LARGER * known.disturbance_rms:
-            fit_of_least = fit_class(problem, known.trajectory, least_disturbance, climbs=False)
+        told = _told(fit)
+        if all(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms:
             warnings.append(
                 f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
                 f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
                 "leave least are taken"
             )
-            fit = fit_of_least
-        std = np.sqrt(np.diag(fit.covariance))
-        told = [own <= _NOT_TOLD * prior for own, prior in zip(std, problem.parameter_std, strict=True)]
+            fit = fit_class(problem, known.trajectory, least_disturbance, climbs=False)
+            told = _told(fit)
         warnings += [
             f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told"
             for name, one in zip(setup.free, told, strict=True)
@@ -214,19 +218,34 @@ def _with_maps(setup: Setup, run: Run, known: ClassFit, given: Mapping[str, Any]
     return setup, fit_class(problem, trajectory, most_likely), maps
 
 
+def _told(fit: ClassFit) -> list[bool]:
+    """Return of each free parameter whether the log tells it."""
+    return [bool(one) for one in np.sqrt(np.diag(fit.covariance)) <= _NOT_TOLD * fit.problem.parameter_std]
+
+
 def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, run: Run) -> Array:
-    """Return the disturbance_rate (q2,) for an intensity (q2,), fast enough for jumps that are not noticed at once."""
+    """Return the disturbance_rate (q2,) for an intensity (q2,), or the one with which jumps are followed best."""
     usual = run.stretch.usual
 
     def tuned(rates: Array) -> Tuned:
         return setup.tuned({**found, **setup.named("disturbance_rate", rates)}, usual)
 
+    begin("fitting, part 5 of 5: disturbance_rate")
     rates = rates_for(
         pace,
         lambda rates: tuned(rates).intensity(usual, [1.0] * len(setup.equations.outputs)),
         setup.of_disturbances("disturbance_rate"),
     )
-    return np.maximum(rates, _OF_JUMPS * best.jumping_rate)
+    if not best.noise.is_jumping:
+        return rates
+    lowest, first = _OF_JUMPS * best.jumping_rate, best.problem.rows.model.start_samples
+    smoothed = best.disturbance[: _MOST_TRIED - first]
+
+    def follow(rates: Array) -> Followed:
+        said = setup.along({**found, **setup.named("disturbance_rate", rates)}, run, first + len(smoothed))
+        return Followed(said.d_at_sample[first:], said.d_std[first:])
+
+    return best_followed(lowest, np.maximum(rates, lowest), follow, smoothed)
 
 
 def _best(fits: Mapping[int, ClassFit]) -> ClassFit:

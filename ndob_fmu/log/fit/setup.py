@@ -16,16 +16,17 @@ from ndob_fmu.interface.told_observer import for_disturbances, told_observer, va
 from ndob_fmu.log.along import Samples, in_layout
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.log_columns import Signals
-from ndob_fmu.log.online import Stretch, along
+from ndob_fmu.log.online import Online, Stretch, along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smooth_log import forgotten_rows
 from ndob_fmu.log.told_values import ignored
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 from ndob_fmu.runtime.step.tuned import Tuned
+from ndob_fmu.support.progress import begin
 
 # Rows that the fit needs, and rows within which there is one new event.
 _LEAST_ROWS = 500
@@ -40,10 +41,12 @@ class Run:
 
     stretch: rows of the log, and what the observer said there
     observer: that said it
+    is_whole: whether these are all rows of the log
     """
 
     stretch: Stretch
     observer: SampledObserver
+    is_whole: bool
 
     @property
     def rows(self) -> int:
@@ -93,13 +96,19 @@ class Setup:
         eq = self.equations
         order = max(1, self.values["disturbance_order"])
         observer = self._observer({**self.values, "disturbance_order": order, "lag": 0.0})
-        block = next(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
+        blocks = read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {}))
+        block, following = next(blocks), next(blocks, None)
         if len(block.time) < _LEAST_ROWS:
             raise UsageError.report(
                 str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(len(block.time))
             )
-        x_hat = values_of(self.values.__getitem__, eq.states, "_hat_start")
-        return Run(next(along(observer, x_hat, iter([block]))), observer)
+        begin(f"fitting, part 1 of 5: running the observer along {len(block.time)} rows")
+        return Run(next(along(observer, self._x_hat, iter([block]))), observer, following is None)
+
+    def along(self, changes: Mapping[str, Any], run: Run, rows: int) -> Online:
+        """Return what an observer with changed values says along the first rows of a log."""
+        observer = self._observer({**self.values, **changes, "lag": 0.0})
+        return next(along(observer, self._x_hat, iter([run.stretch.rows(slice(rows)).log]))).online
 
     def problem(self, run: Run, order: int) -> Problem:
         """Return what a class of disturbances of an order is fitted to."""
@@ -126,6 +135,10 @@ class Setup:
         layout = run.observer.layout
         said = np.array([layout.unpacked(row) for row in run.stretch.online.predicted])
         return in_layout(said, layout, problem.rows.model.layout)
+
+    @property
+    def _x_hat(self) -> Vector:
+        return values_of(self.values.__getitem__, self.equations.states, "_hat_start")
 
     def tuned(self, changes: Mapping[str, Any], H: float) -> Tuned:
         """Return what an observer with changed values is tuned to at a step H (s)."""
