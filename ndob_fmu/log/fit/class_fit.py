@@ -91,7 +91,7 @@ class ClassFit:
             return np.zeros(len(self.noise.log_intensity))
         between = float(self.problem.samples.step[: self.problem.trained - 1].sum()) / len(jumps)
         sizes = _jump_sizes(self.trajectory[:, self.problem.layout.disturbance], jumps)
-        return np.asarray(sizes / between**self.order)
+        return np.asarray(sizes.mean(axis=0) / between**self.order)
 
     @property
     def pace(self) -> tuple[Array, Array]:
@@ -185,7 +185,8 @@ def _raised(known: Linearised, noise: NoiseFit) -> Array:
             smooth = known.trajectory[:, places] + smoothed(found.forward, found.adjoint).xi[:, places]
             jumps = sorted(found.events.jumps)
             wanders = np.minimum(
-                _wanders(smooth, problem.rows.model.start_samples, jumps), _SMALL * _jump_sizes(smooth, jumps)
+                _wanders(smooth, problem.rows.model.start_samples, jumps),
+                _SMALL * np.median(_jump_sizes(smooth, jumps), axis=0),
             )
         std = np.median(np.linalg.norm(found.forward.factor[:, places], axis=2), axis=0)
         if turn == 0:
@@ -197,9 +198,9 @@ def _raised(known: Linearised, noise: NoiseFit) -> Array:
 
 
 def _jump_sizes(disturbance: Array, jumps: Sequence[int]) -> Array:
-    """Return the median size (q2,) of jumps of smoothed disturbances (K,q2)."""
+    """Return the sizes (·,q2) of jumps of smoothed disturbances (K,q2)."""
     after, before = (np.clip(np.array(jumps) + side * _BESIDE, 0, len(disturbance) - 1) for side in (1, -1))
-    return np.asarray(np.median(np.abs(disturbance[after] - disturbance[before]), axis=0))
+    return np.asarray(np.abs(disturbance[after] - disturbance[before]))
 
 
 def _wanders(disturbance: Array, first: int, jumps: Sequence[int]) -> Array:
