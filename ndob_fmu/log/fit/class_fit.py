@@ -101,18 +101,22 @@ class ClassFit:
         return found, found * np.sqrt(np.diag(self.noise.covariance)[-q:])
 
 
-def fit_class(problem: Problem, trajectory: Array, step_of: ParameterStep, *, climbs: bool = True) -> ClassFit:
+def fit_class(
+    problem: Problem, trajectory: Array, step_of: ParameterStep, *, start: ClassFit | None = None, climbs: bool = True
+) -> ClassFit:
     """Fit a class, from an estimate ξ (K,N) of all rows.
 
     step_of: the step of the parameters; climbs: whether it leads to a larger likelihood
+    start: a fit of the same rows and order, with whose noise and events to begin
 
     Raises IntegrationError where the equations cannot be followed.
     """
     theta, prior, before = problem.told, problem.parameter_std, None
+    first = None if start is None else start.noise.for_intensity(start.problem.intensity, problem.intensity)
     train, at_best = slice(problem.trained), problem.told
     for _ in range(_MOST_ROUNDS):
         about = problem.about(trajectory, theta)
-        noise = fit_noise(*about.pieces(train), problem.layout, before)
+        noise = fit_noise(*about.pieces(train), problem.layout, before or first)
         found = _explained(about, noise)
         trajectory = trajectory + smoothed(found.forward, found.adjoint).xi
         if climbs and before is not None and noise.value < before.value - _LESS:

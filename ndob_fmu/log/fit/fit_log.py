@@ -186,15 +186,15 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
     while setup.free:
         begin(f"fitting, part 4 of 5: {', '.join(setup.free)}")
         problem = setup.problem(run, known.order)
-        fit = fit_class(problem, known.trajectory, most_likely)
+        fit = fit_class(problem, known.trajectory, most_likely, start=known)
         told = _told(fit)
-        if all(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms:
+        if any(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms:
             warnings.append(
                 f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
                 f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
                 "leave least are taken"
             )
-            fit = fit_class(problem, known.trajectory, least_disturbance, climbs=False)
+            fit = fit_class(problem, known.trajectory, least_disturbance, start=known, climbs=False)
             told = _told(fit)
         warnings += [
             f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told"

@@ -57,6 +57,10 @@ class NoiseFit:
         """Whether jumps explain more than chance."""
         return bool(self.events.jumps) and self.value > self.value_without + _SURE
 
+    def for_intensity(self, old: Array, new: Array) -> NoiseFit:
+        """Return the same pace for a record that was made with other intensities (q2,)."""
+        return replace(self, log_intensity=self.log_intensity + np.log(old / new))
+
     def applied(self, record: LinearRecord, layout: Layout) -> LinearRecord:
         """Return a record with the noise and pace that were found."""
         return scaled(record, layout, np.exp(self.log_variance), np.exp(self.log_intensity))
