@@ -201,7 +201,7 @@ def sampled_data_design(
         rate=disturbance_rate,
         order=order,
     )
-    bandwidth = bandwidth_of(observer.system, step_size, intensity, known)
+    bandwidth = bandwidth_of(observer.tracking.system, step_size, intensity, known)
     lacking = _lacking_for_a_bound(model, of_constants=of_constants)
     return SampledDataDesign(
         model=model.name,

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy
 
 from ndob_fmu.analysis.assumptions import check
 from ndob_fmu.analysis.design import design
@@ -14,6 +15,7 @@ from ndob_fmu.analysis.sampled_data_design import SampledDataDesign
 from ndob_fmu.cli import main
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import DesignError, ModelError, UsageError
+from ndob_fmu.model.model import Model
 from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS
 
@@ -203,3 +205,25 @@ def test_the_error_bars_are_those_that_the_observer_shows_once_they_have_settled
     for y in 1e-4 * np.random.default_rng(1).normal(size=(300, 2)):
         state, estimate = observer.step(state, (0.0,), y.tolist(), 5e-3)
     assert estimate.d_std[0] == pytest.approx(plain.error_bar[0], rel=0.1)
+
+
+def test_the_bandwidth_counts_slopes_of_f_through_which_alone_an_output_shows_the_disturbance():
+    slope = 0.25  # of the flow between the tanks at a level of 1
+    tanks = Model(
+        name="Tanks",
+        states=["upper", "lower"],
+        outputs=["lower"],
+        disturbances=["inflow"],
+        dynamics=lambda x, u, d, p: [
+            d.inflow - 0.5 * sympy.sqrt(x.upper),
+            0.5 * sympy.sqrt(x.upper) - 0.5 * sympy.sqrt(x.lower),
+        ],
+        ranges={"upper": (0.2, 2.0), "lower": (0.2, 2.0)},
+        noise_std=1e-3,
+        x0=[1.0, 1.0],
+        xhat0=[1.0, 1.0],
+    )
+    found = design(tanks, step_size=0.01)
+    # Where the disturbance's spectrum, seen through r + 2 integrations, meets the noise's.
+    expected = (found.equivalent_pi * slope**2) ** (0.5 / (found.disturbance_order + 2))
+    assert found.sampled_bandwidth == pytest.approx(expected, rel=1e-6)
