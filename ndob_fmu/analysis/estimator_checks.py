@@ -14,7 +14,7 @@ import numpy as np
 from ndob_fmu.analysis.check_report import CheckRow
 from ndob_fmu.analysis.direction import shortest_direction
 from ndob_fmu.analysis.error_bars import stationary_at
-from ndob_fmu.analysis.row_parts import MODE_TOLERANCE, dominant, hidden_modes, number, numbers, outcome
+from ndob_fmu.analysis.row_parts import MODE_TOLERANCE, dominant, hidden_modes, numbers, outcome, places_of_modes
 from ndob_fmu.analysis.row_parts import relative_degrees as degrees_row
 from ndob_fmu.analysis.separable import separability_rows
 from ndob_fmu.codegen.compile_model import compile_model
@@ -162,13 +162,13 @@ def _hidden(system: Balanced, states: Sequence[str], names: Sequence[str], *, co
     constant: whether constant disturbances belong to what must be seen
     """
     smallest, limit, hidden = hidden_modes(system.A, system.C)
-    lasting: dict[str, str] = {}
-    decaying: dict[str, str] = {}
-    for mode, vector in hidden:
-        kept = margins_of(np.array([mode]), 1.0)[0] > 0.0
-        (decaying if kept else lasting)[number(system.rate * mode)] = dominant(vector, states)
+    decays = [bool(margins_of(np.array([mode]), 1.0)[0] > 0.0) for mode, _ in hidden]
+    decaying, lasting = (
+        places_of_modes([one for one, kept in zip(hidden, decays, strict=True) if kept is wanted], system.rate, states)
+        for wanted in (True, False)
+    )
     failure = "; ".join(f"{where} in no output, mode {mode} 1/s" for mode, where in lasting.items())
-    likely = f"no output shows {some_of(lasting.values())}; measure it, or leave it out of the model"
+    likely = f"no output shows {some_of(dict.fromkeys(lasting.values()))}; measure it, or leave it out of the model"
     n, q = system.G.shape
     if constant and not lasting and pencil_zeros(system.A, system.G, system.C)[1] == q:
         both = np.block([[system.A, system.G], [system.C, np.zeros((len(system.C), q))]])

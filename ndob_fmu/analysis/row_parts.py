@@ -10,7 +10,7 @@ import numpy as np
 
 from ndob_fmu.analysis.check_report import CheckRow
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.numerics.zeros import RANK_TOLERANCE, Balanced, ComplexArray, pencil_zeros
+from ndob_fmu.runtime.numerics.zeros import AXIS_TOLERANCE, RANK_TOLERANCE, Balanced, ComplexArray, pencil_zeros
 
 MODE_TOLERANCE = 1e-8
 
@@ -27,7 +27,7 @@ def outcome(
 def modes_reached(name: str, requirement: str, system: Balanced, A: Array, C: Array, states: Sequence[str]) -> CheckRow:
     """Return whether (A, C) has no hidden mode; names say whether it is observability or controllability."""
     smallest, limit, found = hidden_modes(A, C)
-    hidden = {number(system.rate * mode): dominant(vector, states) for mode, vector in found}
+    hidden = places_of_modes(found, system.rate, states)
     return outcome(
         name,
         smallest > limit,
@@ -61,6 +61,20 @@ def hidden_modes(A: Array, C: Array) -> tuple[float, float, list[tuple[complex, 
     return smallest, limit, hidden
 
 
+def places_of_modes(
+    hidden: Sequence[tuple[complex, ComplexArray]], rate: float, states: Sequence[str]
+) -> dict[str, str]:
+    """Return {mode (1/s): its dominant states} of hidden modes in a plant's own rate (1/s), each state named once.
+
+    A mode of 0 that is found twice has two rounding errors for its values.
+    """
+    found: dict[str, dict[str, None]] = {}
+    for mode, vector in hidden:
+        text = "0" if abs(mode) <= AXIS_TOLERANCE else number(rate * mode)
+        found.setdefault(text, {}).update(dict.fromkeys(largest(vector, states)))
+    return {mode: ", ".join(names) for mode, names in found.items()}
+
+
 def relative_degrees(system: Balanced, channels: Sequence[str]) -> CheckRow:
     """Yield the smallest k with C A^{k−1} G_j ≠ 0 for each unknown input j; None if no output depends on it."""
     degrees: dict[str, int | None] = dict.fromkeys(channels)
@@ -77,9 +91,14 @@ def relative_degrees(system: Balanced, channels: Sequence[str]) -> CheckRow:
 
 
 def dominant(vector: Any, labels: Sequence[str]) -> str:
+    """Return the labels of `largest` as text."""
+    return ", ".join(largest(vector, labels))
+
+
+def largest(vector: Any, labels: Sequence[str]) -> list[str]:
     """Return the labels of the entries that are at least half as large as the largest."""
     sizes = np.abs(vector)
-    return ", ".join(label for label, size in zip(labels, sizes, strict=True) if size >= 0.5 * np.max(sizes))
+    return [label for label, size in zip(labels, sizes, strict=True) if size >= 0.5 * np.max(sizes)]
 
 
 def numbers(values: ComplexArray | Array, digits: int = 6) -> str:

@@ -76,6 +76,17 @@ LACKING = {
         plant([[-1, 0], [1, 0]], [[1], [0]], [[1, 0]]),
         ("detectable", "x2 in no output", "no output shows x2; measure it, or leave it out"),
     ),
+    "a place of two bodies that no output shows": (
+        plant(
+            [[0, 1, 0, 0], [-2500, -1, 2500, 1], [0, 0, 0, 1], [50, 0.02, -50, -0.1]],
+            [[0], [0], [0], [1]],
+            [[0, 1, 0, 0]],
+        ),
+        (
+            "detectable",
+            "received x1, x3 in no output, mode 0 1/s; likely cause: no output shows x1, x3; measure it",
+        ),
+    ),
     "only a rate is measured": (
         plant([[0, 1], [-4, -1]], [[0], [1]], [[0, 1]]),
         ("detectable", "a constant d1 that leaves every output as it is", "measure a state that a constant d1 shifts"),
