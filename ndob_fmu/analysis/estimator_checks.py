@@ -26,7 +26,7 @@ from ndob_fmu.runtime.design.operating_point import tangent_at
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.tuning import predicted_error
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.equations import Equations, Experiment
 from ndob_fmu.runtime.numerics.zeros import AXIS_TOLERANCE, Balanced, balance, pencil_zeros
 from ndob_fmu.runtime.step.channel_observer import VANISHING
 from ndob_fmu.runtime.step.preparation import linearised
@@ -300,5 +300,7 @@ def _pace(model: Model, parameters: Mapping[str, float] | None) -> CheckRow:
     plant = f"plant {' to '.join(modes)} 1/s" if pace.fastest else "plant of integrators"
     disturbance = ", ".join(f"{omega:.3g}" for omega in pace.disturbance)
     values = {"slowest": pace.slowest, "fastest": pace.fastest, "disturbance": pace.disturbance, "warnings": warnings}
+    untold = ", as the model has no experiment=Experiment(stop_time=…, step_size=…)"
     measured = f"{plant}, disturbance {disturbance} rad/s, step {model.experiment.step_size:g} s"
+    measured += untold if model.experiment == Experiment() else ""
     return CheckRow("pace", True, "for information", "; warning: ".join([measured, *warnings]), values=values)

@@ -80,6 +80,7 @@ def test_other_orders_and_bounds_keep_the_pace():
             "the step of 400 s is 4 times the plant's longest time constant (100 s)",
         ),
         ({"experiment": Experiment(step_size=1e-5)}, "1e-07 of the plant's shortest time constant"),
+        ({"experiment": Experiment()}, "1e-05 of the plant's shortest time constant"),
     ],
 )
 def test_what_is_absurd_for_the_plant_is_said_by_check(fields, words):
@@ -103,3 +104,15 @@ def test_nothing_is_said_of_the_shipped_plants(name):
 def test_a_plant_without_constant_matrices_has_a_pace_too():
     found = pace(ARM)
     assert 0.1 < found["slowest"] < found["fastest"] < 100.0
+
+
+def test_a_step_is_not_too_short_for_a_disturbance_that_is_fast():
+    model = lags(0.01, 0.01, observer=ObserverDefaults(alpha=1e-3, disturbance_rate=0.08))
+    assert not any("take longer steps" in text for text in design(model, step_size=1e-3).warnings)
+
+
+def test_check_says_which_field_sets_the_step_where_a_model_has_none():
+    told, untold = lags(3.0, 3.0, experiment=Experiment(step_size=0.01)), lags(3.0, 3.0, experiment=Experiment())
+    assert "step 0.001 s, as the model has no experiment=Experiment(stop_time=…, step_size=…)" in str(check(untold))
+    assert "step 0.01 s" in str(check(told))
+    assert "experiment=" not in str(check(told))

@@ -13,10 +13,11 @@ from ndob_fmu.runtime.equations import Equations, Vector
 
 _SLOW = 1e-4  # of the fastest mode: slower ones count as integrators
 # What is absurd: a disturbance so many times faster than the plant's fastest mode; one that turns by so much within a
-# step, in rad; steps of so many of the longest time constant, and of so small a part of the shortest.
+# step, in rad; steps of so many of the longest time constant, and of so small a part of the shortest, also of the
+# disturbance's.
 _TOO_FAST = 100.0
 _WITHIN_A_STEP = 2.0
-_TOO_LONG, _TOO_SHORT = 3.0, 1e-6
+_TOO_LONG, _TOO_SHORT = 3.0, 1e-4
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def pace_warnings(pace: Pace, disturbances: Sequence[str], H: float | None) -> l
                 f"the step of {H:g} s is {H * pace.slowest:.3g} times the plant's longest time constant "
                 f"({1.0 / pace.slowest:.3g} s): samples show only what has settled; take shorter steps"
             )
-        if H * pace.fastest < _TOO_SHORT:
+        if H * max(pace.fastest, float(np.max(pace.disturbance))) < _TOO_SHORT:
             found.append(
                 f"the step of {H:g} s is {H * pace.fastest:.1g} of the plant's shortest time constant "
                 f"({1.0 / pace.fastest:.3g} s): samples tell nothing new; take longer steps"
