@@ -2,8 +2,8 @@
 
 python -m tests.attacks.native --calls 100000 --trials 5000 --seed 1
 
-The walk of random calls (tests.fuzz), crafted states, odd texts and odd steps. The first error of a sanitizer ends a
-process, which counts as a crash. Needs gcc with its sanitizers.
+The walk of random calls (tests.fuzz), crafted states, odd texts and odd steps, and random calls of FMI 3.0. The first
+error of a sanitizer ends a process, which counts as a crash. Needs gcc with its sanitizers.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ def sanitized(fmu: Path, folder: Path, changed: Callable[[str], str] = str) -> P
 
     changed: gives the source to compile, from that of the FMU
     """
-    target, library = folder / fmu.name, f"binaries/linux64/{fmu.stem}.so"
+    target = folder / fmu.name
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work, zipfile.ZipFile(fmu) as archive:
         archive.extractall(work)
+        library = next(Path(work, "binaries").glob(f"*/{fmu.stem}.so"))
         source = Path(work, "sources", f"{fmu.stem}.c")
         source.write_text(changed(source.read_text("utf-8")), "utf-8")
         subprocess.run(["gcc", *FLAGS, source, "-o", library, "-lm"], cwd=work, check=True)
@@ -66,6 +67,11 @@ def attacks(calls: int, trials: int, seed: int) -> list[list[str]]:
     ]
 
 
+def attack_of_fmi3(calls: int, seed: int) -> list[str]:
+    """Return the words of the attack on FMUs of FMI 3.0."""
+    return ["tests.attacks.fmi3", "--calls", str(calls), "--seed", str(seed)]
+
+
 def attacked(words: list[str], folder: Path) -> int:
     """Run an attack on the FMUs in the folder, and return its exit code."""
     command = [sys.executable, "-m", *words, "--fmus", str(folder)]
@@ -80,14 +86,18 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
-        plain, folder = Path(work, "plain"), Path(work, "sanitized")
-        folder.mkdir()
-        for fmu in (*build_native(load_model("flexible_joint"), plain), *build_native_components(plain)):
-            sanitized(fmu, folder)
-        found = 0
-        for words in attacks(options.calls, options.trials, options.seed):
-            print("python -m", *words, flush=True)
-            found += attacked(words, folder) != 0
+        joint, found = load_model("flexible_joint"), 0
+        for fmi, every in (
+            (2, attacks(options.calls, options.trials, options.seed)),
+            (3, [attack_of_fmi3(options.calls, options.seed)]),
+        ):
+            plain, folder = Path(work, f"plain{fmi}"), Path(work, f"sanitized{fmi}")
+            folder.mkdir()
+            for fmu in (*build_native(joint, plain, fmi=fmi), *build_native_components(plain, fmi=fmi)):
+                sanitized(fmu, folder)
+            for words in every:
+                print("python -m", *words, flush=True)
+                found += attacked(words, folder) != 0
     print(f"native FMUs with sanitizers: {found} of the attacks found something")
     return int(found > 0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ndob_fmu.native.build import build_native_components
-from tests.attacks.native import attacked, attacks, sanitized
+from tests.attacks.native import attack_of_fmi3, attacked, attacks, sanitized
 from tests.helpers.needs import C_COMPILER
 
 pytestmark = C_COMPILER
@@ -23,6 +23,14 @@ def fmus(tmp_path_factory):
 @pytest.mark.parametrize("name", ["tests.fuzz", "tests.attacks.native_states", "tests.attacks.texts"])
 def test_an_attack_finds_nothing(fmus, name):
     assert attacked(ATTACKS[name], fmus) == 0
+
+
+def test_random_calls_of_fmi_3_find_nothing(tmp_path):
+    folder = tmp_path / "sanitized"
+    folder.mkdir()
+    for fmu in build_native_components(tmp_path / "plain", fmi=3):
+        sanitized(fmu, folder)
+    assert attacked(attack_of_fmi3(calls=2000, seed=97), folder) == 0
 
 
 def test_a_sanitizer_ends_a_process_that_writes_past_an_array(fmus, tmp_path):
