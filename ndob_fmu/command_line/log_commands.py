@@ -15,6 +15,10 @@ from ndob_fmu.support.progress import PATIENCE, shown_after
 if TYPE_CHECKING:
     from ndob_fmu.log.estimate_log import Estimated
     from ndob_fmu.log.fit.fit_log import Fitted, Told
+_FITS = (
+    "the settings fit the log; a wrong parameter that acts as the disturbance does is a part of its estimate and does "
+    "not show here: `ndob-fmu fit --free` tells of it"
+)
 
 
 def add_log_commands(commands: Commands) -> None:
@@ -188,5 +192,5 @@ def _text(found: Estimated) -> str:
             f"{output.correlation[0]:.2f} (0 ± {output.correlation_band:.2g}), {100.0 * output.refused:.2g} % refused"
         )
     lines += [f"warning: {line}" for line in found.warnings]
-    lines += [f"verdict: {line}" for line in found.verdicts] or ["verdict: the settings fit the log"]
+    lines += [f"verdict: {line}" for line in found.verdicts] or [f"verdict: {_FITS}"]
     return "\n".join(lines)

@@ -15,6 +15,7 @@ LAGS = 20
 # is smaller than these is not worth a change.
 _SIZE, _CORRELATED, _REFUSED = 1.3, 0.2, 0.01
 _NOISE = 1.5
+_ANY_FACTOR = 1000.0  # above it the number says nothing
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,12 @@ class OutputDiagnosis:
     noise_factor: float
 
     def verdicts(self, output: str, noise_std: float, unit: str) -> Iterator[str]:
-        """Yield what is wrong with a setting, and what to change, one line each; none where all is right."""
+        """Yield what is wrong with a setting, and what to change, one line each; none where all is right.
+
+        noise_std: that the observer used, which is above 0
+        """
         if self.samples < LAGS:
-            yield f"{output}: too few samples for a verdict ({self.samples})"
+            yield f"{output}: too few samples for a verdict ({self.samples} behind the start and not refused)"
             return
         if self.refused > _REFUSED:
             yield (
@@ -49,20 +53,25 @@ class OutputDiagnosis:
                 "outliers and a sensor that sticks"
             )
         noise_is_wrong = not 1.0 / _NOISE < self.noise_factor < _NOISE
-        if noise_is_wrong:
+        # Noise does not follow itself: told a larger one, the observer would take the model's error for noise.
+        if noise_is_wrong and not (self.noise_factor > 1.0 and self._follow_one_another):
             factor = max(self.noise_factor, 1.0 / self.noise_factor)
             size = "small" if self.noise_factor > 1.0 else "large"
             better = f"{noise_std * self.noise_factor:.2g} {unit}".rstrip()
-            yield f"noise_std of {output} is about {factor:.1f} × too {size}: the residuals show {better}"
+            how = f"about {factor:.1f} ×" if factor < _ANY_FACTOR else "far"
+            yield f"noise_std of {output} is {how} too {size}: the residuals show {better}"
         yield from self._of_disturbance(output)
 
+    @property
+    def _follow_one_another(self) -> bool:
+        return float(self.correlation[0]) > max(_CORRELATED, self.correlation_band)
+
     def _of_disturbance(self, output: str) -> Iterator[str]:
-        first = float(self.correlation[0])
-        beyond = max(_CORRELATED, self.correlation_band)
-        if first > beyond:
+        if self._follow_one_another:
             yield (
-                f"{output}: residuals follow one another (correlation {first:.2f}); the disturbance moves faster than "
-                "disturbance_rate says, or the model lacks something"
+                f"{output}: residuals follow one another (correlation {self.correlation[0]:.2f}); a parameter is wrong "
+                "(`ndob-fmu fit --free`), the disturbance moves faster than disturbance_rate says, or the model lacks "
+                "something"
             )
         elif self.size > _SIZE + self.size_band:
             yield (

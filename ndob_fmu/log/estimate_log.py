@@ -20,6 +20,7 @@ from ndob_fmu.log.log import Found
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.native_run import native_run
 from ndob_fmu.log.online import Run, Stretch, along
+from ndob_fmu.log.plausible import Plausibility, with_likely_cause
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable
 from ndob_fmu.log.smooth_log import SmoothedStretch, can_smooth, smooth, start_samples
@@ -30,9 +31,12 @@ from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.run_files import RESULT, write_summary
 from ndob_fmu.results.shown_time import ShownTime, shown_time
 from ndob_fmu.results.versions import software_versions
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.design.pace import Pace, pace_of
+from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.step.channel_observer import read_out
 from ndob_fmu.runtime.step.observer import Observer
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 from ndob_fmu.support.files import atomic_folder
 from ndob_fmu.support.progress import begin
 
@@ -111,9 +115,11 @@ def estimate_log(
     observer: Observer[Any] = read_out(eq, parameters, sampled, disturbance_bound=bound, lag=values["lag"])
     smooths = eq.channel is None and can_smooth(sampled)
 
-    blocks = read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {}))
+    check = Plausibility(eq, bound, None if eq.channel else _pace(eq, sampled, x_hat))
+    blocks = check.blocks(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
     first = next(blocks)
     before = observer.estimate(observer.init(x_hat), first.outputs[0].tolist())
+    check.start(first.outputs[0], before.residual, before.residual_std)
     table, kept = ResultTable(eq, before, smooths=smooths), Thinned()
     counts, tally = _Counts(), ResidualTally(len(eq.outputs), start_samples(sampled))
 
@@ -126,20 +132,32 @@ def estimate_log(
         ):
             counts.add(stretch, smoothed)
             tally.add(stretch)
+            check.add(stretch)
             yield kept.add(table.rows(stretch, smoothed))
             begin(f"estimating, {stretch.log.time[-1] - first.time[0]:.6g} s of the log are done")
 
     with atomic_folder(folder) as new:
-        with native_run(model, native, values, observer, x_hat) as run:
-            write_csv_parts(new / RESULT, rows(run))
+        # Values in another unit overflow in the equations, of which an error or a warning of ours tells.
+        with native_run(model, native, values, observer, x_hat) as run, np.errstate(over="ignore", invalid="ignore"):
+            try:
+                write_csv_parts(new / RESULT, rows(run))
+            except IntegrationError as error:
+                raise IntegrationError(with_likely_cause(str(error), check.warnings())) from error
         diagnoses = dict(zip(eq.outputs, tally.diagnoses(), strict=True))
-        verdicts, build = _verdicts(eq, values, diagnoses), PYTHON if run is None else NATIVE
-        estimated = counts.estimated(build, diagnoses, verdicts, tuple(warnings), smooths=smooths)
+        verdicts, build = _verdicts(eq, sampled, diagnoses), PYTHON if run is None else NATIVE
+        estimated = counts.estimated(build, diagnoses, verdicts, (*warnings, *check.warnings()), smooths=smooths)
         disturbances, outputs = _with_units(eq, eq.disturbances), _with_units(eq, eq.outputs)
         write_figures(new, kept, disturbances, outputs, diagnoses, estimated.shown_time, smooths=smooths)
         wall_time = time.perf_counter() - began
         write_summary(new, _summary(eq, values, estimated, table.units, Path(path).name, wall_time))
     return estimated
+
+
+def _pace(eq: Equations, observer: SampledObserver, x_hat: Vector) -> Pace:
+    told = observer.settings
+    return pace_of(
+        eq, observer.parameters, x_hat, bound=told.disturbance_bound, rate=told.disturbance_rate, order=told.order
+    )
 
 
 class _Counts:
@@ -195,11 +213,11 @@ class _Counts:
         )
 
 
-def _verdicts(eq: Equations, values: Mapping[str, Any], diagnoses: Mapping[str, OutputDiagnosis]) -> tuple[str, ...]:
+def _verdicts(eq: Equations, observer: SampledObserver, diagnoses: Mapping[str, OutputDiagnosis]) -> tuple[str, ...]:
     return tuple(
         line
-        for name, found in diagnoses.items()
-        for line in found.verdicts(name, values[f"{name}_noise_std"], eq.units.get(name, ""))
+        for (name, found), std in zip(diagnoses.items(), observer.noise_std.tolist(), strict=True)
+        for line in found.verdicts(name, std, eq.units.get(name, ""))
     )
 
 

@@ -1,0 +1,88 @@
+"""A log in other units, or with other columns, than the model's is named as such."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ndob_fmu.log.diagnostics import OutputDiagnosis
+from ndob_fmu.log.estimate_log import estimate_log
+from ndob_fmu.runtime.base_errors import IntegrationError
+from tests.log.test_estimate_log import CART, NOISE, TUNED, gusts, simulated, write_log
+
+TIME = 0.01 * np.arange(400)
+INPUTS, OUTPUTS = simulated(TIME, gusts(TIME), [*NOISE.values()], 1)
+
+
+@pytest.fixture
+def warnings(tmp_path, monkeypatch):
+    """A function that returns the warnings about a log."""
+    monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *_, **__: None)
+
+    def found(time=TIME, inputs=INPUTS, outputs=OUTPUTS, model=CART, **told):
+        path = write_log(tmp_path / "log.csv", time, inputs, outputs)
+        return estimate_log(model, path, tmp_path / "out", start_values={**TUNED, **told}).warnings
+
+    return found
+
+
+def test_a_log_in_the_units_of_the_model_is_not_suspected(warnings):
+    assert warnings() == ()
+
+
+def test_an_output_in_another_unit_leaves_its_range(warnings):
+    (line, *_) = warnings(outputs=OUTPUTS * [1.0, 1000.0])
+    assert line.startswith("rate goes from")
+    assert "far outside its range, -5 to 5" in line
+    assert "--unit" in line
+
+
+def test_an_input_in_another_unit_leaves_its_range(warnings):
+    (line, *_) = warnings(inputs=1000.0 * INPUTS, model=replace(CART, ranges={"force": (-3.0, 3.0)}))
+    assert line.startswith("force goes from")
+
+
+def test_a_first_sample_that_the_start_values_exclude_is_named(warnings):
+    (line, *_) = warnings(outputs=np.add(OUTPUTS, [50.0, 0.0]))
+    assert line.startswith("place is 50 m in the first row, where the start values say 0 ± 0.2 m")
+
+
+def test_an_estimate_far_beyond_the_bound_is_named(warnings):
+    assert any("the estimate of wind reaches" in line for line in warnings(inputs=30.0 * INPUTS))
+
+
+def test_times_in_another_unit_are_named(warnings):
+    assert any("samples 10 s apart cannot follow" in line for line in warnings(time=1000.0 * TIME))
+
+
+def test_an_error_says_which_column_is_its_likely_cause(warnings):
+    with pytest.raises(IntegrationError, match=r"; likely cause: force goes from"):
+        warnings(inputs=1e200 * INPUTS, model=replace(CART, ranges={"force": (-3.0, 3.0)}))
+
+
+def test_an_output_without_samples_is_named(warnings):
+    without = OUTPUTS.copy()
+    without[:, 1] = np.nan
+    assert "rate was never measured: what only this output shows is not estimated" in warnings(outputs=without)
+
+
+def diagnosis(**changed):
+    values = {
+        "samples": 1000, "size": 1.0, "size_band": 0.1, "correlation": np.zeros(20), "correlation_band": 0.06,
+        "refused": 0.0, "noise_factor": 1.0,
+    }  # fmt: skip
+    return OutputDiagnosis(**{**values, **changed})
+
+
+def test_residuals_that_follow_one_another_are_not_called_noise():
+    """With the larger noise_std that they show, the observer would hide the model's error."""
+    correlated = np.full(20, 0.9)
+    (line,) = diagnosis(noise_factor=20.0, correlation=correlated).verdicts("place", 1e-3, "m")
+    assert "follow one another (correlation 0.90)" in line
+    (line,) = diagnosis(noise_factor=20.0).verdicts("place", 1e-3, "m")
+    assert line == "noise_std of place is about 20.0 × too small: the residuals show 0.02 m"
+
+
+def test_a_factor_without_meaning_is_not_shown():
+    (line,) = diagnosis(noise_factor=2e6).verdicts("place", 1e-9, "m")
+    assert line == "noise_std of place is far too small: the residuals show 0.002 m"
