@@ -7,6 +7,7 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import DesignError
+from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
 from tests.helpers.observers import sampled_observer
@@ -396,3 +397,30 @@ def test_what_means_nothing_is_refused_in_one_line(wrong, says):
     with pytest.raises(DesignError, match=says) as caught:
         observer_of(**wrong)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_only_suspected_of_a_jump_does_not_carry_the_estimate_beyond_its_bound(seed):
+    """The true disturbance is never there, so that a value at the bound is nearer to it."""
+    integrator = compile_model(
+        Model(
+            name="Integrator",
+            states=["x"],
+            inputs=["u"],
+            outputs=["y"],
+            disturbances=["d"],
+            parameters={},
+            **{"A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "G_d": [[1.0]]},
+        )
+    )
+    told = {"order": 1, "noise_std": (0.02,), "disturbance_bound": (2.0,), "disturbance_rate": (1.0,)}
+    observer = sampled_observer(integrator, (), x_hat=(0.0,), **told)
+    random, state, x, d, shifted = np.random.default_rng(seed), observer.init((0.0,)), 0.0, 1.8, 0
+    for k in range(300):
+        d = -d if k % 100 == 99 else d
+        state, estimate = observer.step(state, (0.0,), (x + 0.02 * random.standard_normal(),), 0.01)
+        x += 0.01 * d
+        without_jump = state.xi_hat[1]
+        shifted += abs(estimate.d_hat[0] - without_jump) > 0.1
+        assert abs(estimate.d_hat[0]) <= max(2.0, abs(without_jump)) + 1e-12
+    assert shifted > 0

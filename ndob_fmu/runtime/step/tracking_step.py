@@ -41,7 +41,7 @@ def step_with_covariance(
     added = measured.mixture
     at_sample = xi
     if added.shift is not None:
-        at_sample = xi + added.shift
+        at_sample = _with_shift(model, xi, added.shift)
     d_at_sample, at_sample_std = _published(
         model, at_sample[d], _variance_of_disturbance(model, columns, added.variance) + more
     )
@@ -64,8 +64,9 @@ def step_with_covariance(
     end = predict(model, xi, columns, u, H, intensity, starting=starting)
     published, variance = end.xi, None
     if added.shift is not None and added.variance is not None:
-        published = published.copy()
-        published[:N] += end.Phi @ added.shift[:N]
+        published = _with_shift(
+            model, published, np.concatenate([end.Phi @ added.shift[:N], np.zeros(model.past_size)])
+        )
         variance = (end.Phi**2) @ added.variance[:N]
     more = model.taken_for_disturbance(end.xi, u)
     d_hat, d_std = _published(model, published[d], _variance_of_disturbance(model, end.columns, variance) + more)
@@ -117,6 +118,15 @@ def step_with_covariance(
         consistency=consistency(result.squares),
     )
     return result, estimate, measured
+
+
+def _with_shift(model: FilterModel, xi: Array, shift: Array) -> Array:
+    """Return ξ̂ (N + past,) with the shift of a mixture, which does not move d̂ beyond its bound."""
+    d, nominal = model.layout.disturbance, np.array(model.settings.disturbance_nominal, dtype=float)
+    moved_xi: Array = xi + shift
+    least, most = np.minimum(xi[d], nominal - model.bound), np.maximum(xi[d], nominal + model.bound)
+    moved_xi[d] = np.minimum(np.maximum(moved_xi[d], least), most)
+    return moved_xi
 
 
 def _variance_of_disturbance(model: FilterModel, columns: ErrorColumns, variance: Array | None) -> Array:
