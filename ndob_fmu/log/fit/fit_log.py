@@ -135,7 +135,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     told = {
         key: number for name, one in parameters.items() for key, number in ((name, one.value), (f"{name}_std", one.std))
     }
-    setup, best, maps = _with_maps(setup.with_values(told), run, best, given)
+    setup, best, maps = _with_maps(setup.with_values(told), run, best)
     warnings += maps.warnings
     noise_std = _noise_std(setup, best)
     found = {
@@ -207,9 +207,9 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
     return setup, known
 
 
-def _with_maps(setup: Setup, run: Run, known: ClassFit, given: Mapping[str, Any]) -> tuple[Setup, ClassFit, MapStep]:
+def _with_maps(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, ClassFit, MapStep]:
     """Return the maps that the log tells, and the fit of what remains of the disturbance."""
-    maps = learn_maps(setup.model, known, given)
+    maps = learn_maps(setup.model, known, setup.values)
     setup = replace(setup.with_values(maps.values), free=())
     if not maps.maps:
         return setup, known, maps

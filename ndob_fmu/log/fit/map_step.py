@@ -51,8 +51,8 @@ class MapStep:
     warnings: tuple[str, ...]
 
 
-def learn_maps(model: Model, fit: ClassFit, told: Mapping[str, object]) -> MapStep:
-    """Return what a fit says of the maps of a model; those with parameters that were told stay as they are."""
+def learn_maps(model: Model, fit: ClassFit, told: Mapping[str, float]) -> MapStep:
+    """Return what a fit says of the maps of a model; one with coefficients that are told stays as it is."""
     rows = fit.problem.rows.model
     first, layout = rows.start_samples, rows.layout
     states, d = fit.trajectory[:, : layout.n], fit.trajectory[:, layout.disturbance]
@@ -61,7 +61,7 @@ def learn_maps(model: Model, fit: ClassFit, told: Mapping[str, object]) -> MapSt
     warnings: list[str] = []
     along = np.zeros((len(d), layout.q))
     for one in model.maps:
-        if not told.keys().isdisjoint(one.parameters):
+        if any(told[name] for name in one.coefficients):
             continue
         index = model.disturbances.index(one.disturbance)
         region = _region(model, one, states[first:])
