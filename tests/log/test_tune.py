@@ -8,6 +8,7 @@ from threading import Thread
 
 import numpy as np
 import pytest
+from dash import dcc
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
@@ -23,6 +24,7 @@ from ndob_fmu.log.smoother import backward, forward, smoothed
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.log.tune.figures import disturbance_figure, residual_figure
 from ndob_fmu.log.tune.lagged import lagged_adjoint
+from ndob_fmu.log.tune.page import page
 from ndob_fmu.log.tune.serve import HOST, address, page_server
 from ndob_fmu.log.tune.workbench import Workbench
 from ndob_fmu.results.shown_time import shown_time
@@ -115,6 +117,7 @@ def test_the_axis_of_a_clock_that_starts_far_from_0_counts_from_the_first_row(wo
     for draw in (disturbance_figure, residual_figure):
         figure = draw(workbench.equations, time, shown, shown_time(1.7e9, 0.01))
         assert figure["layout"]["xaxis"]["title"]["text"] == "time [s] from the first row, at 1700000000 s"
+        assert figure["layout"]["xaxis"]["range"] == pytest.approx([0.0, time[-1] - 1.7e9], abs=1e-3)
         assert max(figure["data"][0]["x"]) == pytest.approx(workbench.stretch.log.time[-1], abs=1e-3)
 
 
@@ -142,6 +145,13 @@ def test_another_page_takes_another_port(server, workbench, tmp_path):
     other = page_server(workbench, "log.csv", tmp_path)
     assert other.server_port != server[0].server_port
     other.server_close()
+
+
+def test_what_a_change_or_a_search_for_jumps_computes_shows_that_it_is_at_work(workbench, tmp_path):
+    made = page(workbench, "log.csv", tmp_path)
+    (working,) = [one for one in made.layout()._traverse() if isinstance(one, dcc.Loading)]
+    inside = {getattr(one, "id", None) for one in working._traverse()}
+    assert inside >= {"diagnoses", "disturbance", "residuals", "correlation", "found"}
 
 
 BAND = """

@@ -1,7 +1,7 @@
 """The rate with which the observer follows a disturbance that jumps best: some are tried along the log.
 
-How soon a jump is noticed, and how often one is seen that is none, no likelihood tells: it knows all samples. So the
-observer itself runs along rows of the log, and its estimate is compared with the smoothed one.
+How soon a jump is noticed, and how often one is seen where there is none, no likelihood tells: it knows all samples. So
+the observer itself runs along rows of the log, and its estimate is compared with the smoothed one.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def disturbance_figure(equations: Equations, time: Array, shown: Shown, read: Sh
         labels.append(_label(name, equations))
         ends = [one.d[:, j] + sign * one.std[:, j] for _, one, _ in drawn for sign in (-2.0, 2.0)]
         ranges.append(_usual(ends))
-    return _figure(traces, labels, ranges, read.label)
+    return _figure(traces, labels, ranges, read.label, (time[0], time[-1]))
 
 
 def residual_figure(equations: Equations, time: Array, shown: Shown, read: ShownTime) -> Figure:
@@ -52,7 +52,7 @@ def residual_figure(equations: Equations, time: Array, shown: Shown, read: Shown
         )
         labels.append(_label(name, equations))
         ranges.append(_usual([residual, -bar, bar]))
-    return _figure(traces, labels, ranges, read.label)
+    return _figure(traces, labels, ranges, read.label, (time[0], time[-1]))
 
 
 def correlation_figure(equations: Equations, shown: Shown) -> Figure:
@@ -66,11 +66,17 @@ def correlation_figure(equations: Equations, shown: Shown) -> Figure:
         bars = _trace(i, apart, found.correlation, "correlation of residuals")
         traces.append({**bars, "type": "bar", "marker": {"color": _rgb(_ONLINE)}, "width": 0.6, "showlegend": i == 0})
         labels.append(name)
-    return _figure(traces, labels, [(-1.0, 1.0)] * len(labels), "samples apart")
+    return _figure(traces, labels, [(-1.0, 1.0)] * len(labels), "samples apart", (0.5, LAGS + 0.5))
 
 
-def _figure(traces: list[Figure], labels: Sequence[str], ranges: Sequence[tuple[float, float]], below: str) -> Figure:
-    """Return panels from top to bottom over one axis."""
+def _figure(
+    traces: list[Figure],
+    labels: Sequence[str],
+    ranges: Sequence[tuple[float, float]],
+    below: str,
+    reach: tuple[float, float],
+) -> Figure:
+    """Return panels from top to bottom over one axis, from one end of `reach` to the other."""
     count = len(labels)
     layout: Figure = {
         "margin": {"l": 80, "r": 20, "t": 10, "b": 45},
@@ -81,6 +87,7 @@ def _figure(traces: list[Figure], labels: Sequence[str], ranges: Sequence[tuple[
         "uirevision": "kept",  # what a user has zoomed into stays at a change
         "xaxis": {
             "title": {"text": below},
+            "range": [float(f"{end:.9g}") for end in reach],
             "anchor": f"y{count}" if count > 1 else "y",
             "gridcolor": "#e4e8ec",
             "zeroline": False,

@@ -27,6 +27,8 @@ _STEPS_OF_DECADE = 40
 _DIGITS = 3
 # The lag's slider ends at so many rows, or at twice the lag that was told.
 _LAG_ROWS = 100
+# Work of so many milliseconds shows no sign: a page that flickers at every change distracts.
+_PATIENCE = 250
 # Requests may come to the server in another order than that of the changes.
 _NUMBERED = "(...places) => [(window.change = (window.change || 0) + 1), ...places]"
 _STYLE = """
@@ -63,14 +65,13 @@ def page(workbench: Workbench, title: str, folder: Path) -> Dash:
         [
             dcc.Store(id="page", data=uuid4().hex),
             dcc.Store(id="change"),
-            dcc.Store(id="found"),
             html.H1(f"Settings for {title}"),
             html.P(
                 "The curves are those of the linearised filter over this log, with the jumps and outliers that are "
                 "known. ndob-fmu estimate runs the real observer."
             ),
             html.Div(
-                [html.Div(controls.layout(), className="settings"), html.Div(_results(), className="shown")],
+                [html.Div(controls.layout(), className="settings"), html.Div(_working(_results()), className="shown")],
                 className="columns",
             ),
         ]
@@ -244,7 +245,14 @@ def _setting(name: str, label: str, slider: dcc.Slider) -> html.Div:
     return html.Div([html.Label(label), value, slider], className="setting")
 
 
+def _working(results: list[Any]) -> dcc.Loading:
+    """Return results that turn pale, with a circle on them, while they are computed anew."""
+    pale = {"visibility": "visible", "opacity": 0.4}
+    return dcc.Loading(results, id="working", type="circle", delay_show=_PATIENCE, overlay_style=pale)
+
+
 def _results() -> list[Any]:
+    """Return what shows the settings' effect; `found` is there because a search for jumps counts as work on it."""
     graphs: list[Any] = []
     for name, text in (
         ("disturbance", "Disturbance"),
@@ -252,7 +260,7 @@ def _results() -> list[Any]:
         ("correlation", "Correlation of the residuals"),
     ):
         graphs += [html.H2(text, style={"fontSize": "1rem"}), dcc.Graph(id=name, config={"displaylogo": False})]
-    return [html.Div(id="diagnoses"), *graphs]
+    return [dcc.Store(id="found"), html.Div(id="diagnoses"), *graphs]
 
 
 def _diagnoses(shown: Shown) -> list[Any]:
