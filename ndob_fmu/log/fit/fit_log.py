@@ -182,18 +182,21 @@ def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:
 
 def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str]) -> tuple[Setup, ClassFit]:
     """Return the fit of the parameters that the log tells, in the class that was found, and the setup with these."""
-    fit = known
+    lacks_more = False
     while setup.free:
         begin(f"fitting, part 4 of 5: {', '.join(setup.free)}")
         problem = setup.problem(run, known.order)
-        fit = fit_class(problem, known.trajectory, most_likely, start=known)
-        told = _told(fit)
-        if any(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms:
-            warnings.append(
-                f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
-                f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
-                "leave least are taken"
-            )
+        if not lacks_more:
+            fit = fit_class(problem, known.trajectory, most_likely, start=known)
+            told = _told(fit)
+            lacks_more = any(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms
+            if lacks_more:
+                warnings.append(
+                    f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
+                    f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
+                    "leave least are taken"
+                )
+        if lacks_more:
             fit = fit_class(problem, known.trajectory, least_disturbance, start=known, climbs=False)
             told = _told(fit)
         warnings += [
