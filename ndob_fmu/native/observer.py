@@ -56,7 +56,7 @@ _TRANSLATED = {
 # What the component does around its observers.
 _AROUND = {
     f"{_DESIGN}.separability": ("inseparable_offsets", "inseparable_parameters"),
-    f"{_DESIGN}.pace": ("pace_of",),
+    f"{_DESIGN}.pace": ("pace_of", "absurd"),
     f"{_DESIGN}.lumping": ("lumped_bound", "lumped_rate", "lumped_nominal"),
     f"{_STEP}.settings": ("check_settings",),
     f"{_STEP}.channel_observer": ("ChannelReading.read",),

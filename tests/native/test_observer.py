@@ -264,6 +264,27 @@ def test_an_estimate_of_method_1_outside_its_range_is_said_in_the_words_of_the_p
     assert told[0]
 
 
+@pytest.mark.parametrize(
+    ("rate", "step_size", "part"),
+    [(1e16, 1e-3, "times the plant's fastest mode"), (None, 1e-9, "of the plant's shortest time constant")],
+)
+def test_an_absurd_rate_or_step_is_said_in_the_words_of_the_python_fmu(built, rate, step_size, part):
+    _, python, _, native = built(JOINT)
+    told = []
+    for fmu in (python, native):
+        library = Library(Path(fmpy.extract(str(fmu))))
+        references = {variable.name: variable.reference for variable in library.variables}
+        handle = library.new(logging=1)
+        if rate is not None:
+            library.set(handle, [references["disturbance_rate"]], [rate])
+        library.begin(handle)
+        library.step(handle, 0.0, step_size)
+        told.append([text for _, _, text in library.said])
+        library.FreeInstance(handle)
+    assert told[0] == told[1]
+    assert any(part in text for text in told[0])
+
+
 def test_an_instance_takes_the_tuning_over_from_one_of_the_same_parameters(built):
     """The results have the same bits, whether others of the same or of other parameters came before."""
     _, _, _, fmu = built(JOINT)

@@ -150,17 +150,19 @@ static void warn_of_pace(const Call *call, Core *core, double H) {
     nd_array rate = values_at(call, AT_RATE, DISTURBANCES);
     Pace pace = pace_pace_of(&self->scratch, &core->plant, self->parameters, &x_hat, &bound, &rate,
                              self->settings.order);
-    for (int i = 0; !self->scratch.error && i < DISTURBANCES; i++) {
+    if (self->scratch.error) return;
+    Absurd judged = pace_absurd(&self->scratch, &pace, H);
+    for (int i = 0; i < DISTURBANCES; i++) {
         double omega = nd_at(pace.disturbance, i);
         const char *name = core->plant.disturbances.p[i];
-        if (pace.fastest > 0.0 && omega > 100.0 * pace.fastest) {
+        if (nd_at(judged.too_fast, i) != 0.0) {
             snprintf(line, sizeof line,
                      "disturbance_rate lets %s change at %.3g rad/s, %.0f times the plant's fastest mode (%.3g 1/s), so "
                      "that its estimate will be mostly noise",
                      name, omega, omega / pace.fastest, pace.fastest);
             tell(call->instance, WARNING, line);
         }
-        if (omega * H > 2.0) {
+        if (nd_at(judged.within_a_step, i) != 0.0) {
             snprintf(line, sizeof line,
                      "disturbance_rate lets %s change at %.3g rad/s, which samples %g s apart cannot follow: a shorter "
                      "step or a lower rate is needed",
@@ -168,15 +170,14 @@ static void warn_of_pace(const Call *call, Core *core, double H) {
             tell(call->instance, WARNING, line);
         }
     }
-    if (self->scratch.error || !(pace.fastest > 0.0)) return;
-    if (H * pace.slowest > 3.0) {
+    if (judged.too_long) {
         snprintf(line, sizeof line,
                  "the step of %g s is %.3g times the plant's longest time constant (%.3g s): samples show only what has "
                  "settled; take shorter steps",
                  H, H * pace.slowest, 1.0 / pace.slowest);
         tell(call->instance, WARNING, line);
     }
-    if (H * pace.fastest < 1e-6) {
+    if (judged.too_short) {
         snprintf(line, sizeof line,
                  "the step of %g s is %.1g of the plant's shortest time constant (%.3g s): samples tell nothing new; "
                  "take longer steps",

@@ -47,29 +47,54 @@ def pace_of(
     return Pace(float(np.min(moving)), float(np.max(moving)), omega)
 
 
+@dataclass(frozen=True)
+class Absurd:
+    """What is absurd for the plant.
+
+    too_fast, within_a_step (q2,): 1 for a disturbance that is so, else 0
+    too_long, too_short: whether the step is
+    """
+
+    too_fast: Array
+    within_a_step: Array
+    too_long: bool
+    too_short: bool
+
+
+def absurd(pace: Pace, H: float) -> Absurd:
+    """Return what is absurd with a step H (s), 0 before there is one."""
+    quickest = max(pace.fastest, float(np.max(pace.disturbance)))
+    return Absurd(
+        too_fast=np.where((pace.disturbance > _TOO_FAST * pace.fastest) & (pace.fastest > 0.0), 1.0, 0.0),
+        within_a_step=np.where(pace.disturbance * H > _WITHIN_A_STEP, 1.0, 0.0),
+        too_long=H * pace.slowest > _TOO_LONG,
+        too_short=H > 0.0 and pace.fastest > 0.0 and H * quickest < _TOO_SHORT,
+    )
+
+
 def pace_warnings(pace: Pace, disturbances: Sequence[str], H: float | None) -> list[str]:
     """Return one sentence for each rate, and for the step H (s), that is absurd for the plant; None: no step yet."""
-    found = []
-    for name, omega in zip(disturbances, pace.disturbance, strict=True):
-        if pace.fastest and omega > _TOO_FAST * pace.fastest:
+    found, step = [], H or 0.0
+    judged = absurd(pace, step)
+    for i, (name, omega) in enumerate(zip(disturbances, pace.disturbance.tolist(), strict=True)):
+        if judged.too_fast[i]:
             found.append(
                 f"disturbance_rate lets {name} change at {omega:.3g} rad/s, {omega / pace.fastest:.0f} times the "
                 f"plant's fastest mode ({pace.fastest:.3g} 1/s), so that its estimate will be mostly noise"
             )
-        if H is not None and omega * H > _WITHIN_A_STEP:
+        if judged.within_a_step[i]:
             found.append(
-                f"disturbance_rate lets {name} change at {omega:.3g} rad/s, which samples {H:g} s apart cannot follow: "
-                "a shorter step or a lower rate is needed"
+                f"disturbance_rate lets {name} change at {omega:.3g} rad/s, which samples {step:g} s apart cannot "
+                "follow: a shorter step or a lower rate is needed"
             )
-    if H is not None and pace.fastest:
-        if H * pace.slowest > _TOO_LONG:
-            found.append(
-                f"the step of {H:g} s is {H * pace.slowest:.3g} times the plant's longest time constant "
-                f"({1.0 / pace.slowest:.3g} s): samples show only what has settled; take shorter steps"
-            )
-        if H * max(pace.fastest, float(np.max(pace.disturbance))) < _TOO_SHORT:
-            found.append(
-                f"the step of {H:g} s is {H * pace.fastest:.1g} of the plant's shortest time constant "
-                f"({1.0 / pace.fastest:.3g} s): samples tell nothing new; take longer steps"
-            )
+    if judged.too_long:
+        found.append(
+            f"the step of {step:g} s is {step * pace.slowest:.3g} times the plant's longest time constant "
+            f"({1.0 / pace.slowest:.3g} s): samples show only what has settled; take shorter steps"
+        )
+    if judged.too_short:
+        found.append(
+            f"the step of {step:g} s is {step * pace.fastest:.1g} of the plant's shortest time constant "
+            f"({1.0 / pace.fastest:.3g} s): samples tell nothing new; take longer steps"
+        )
     return found
