@@ -300,7 +300,7 @@ def _pace(model: Model, parameters: Mapping[str, float] | None) -> CheckRow:
     plant = f"plant {' to '.join(modes)} 1/s" if pace.fastest else "plant of integrators"
     disturbance = ", ".join(f"{omega:.3g}" for omega in pace.disturbance)
     values = {"slowest": pace.slowest, "fastest": pace.fastest, "disturbance": pace.disturbance, "warnings": warnings}
-    untold = ", as the model has no experiment=Experiment(stop_time=…, step_size=…)"
+    untold = ", as the model has no experiment=Experiment(stop_time=..., step_size=...)"
     measured = f"{plant}, disturbance {disturbance} rad/s, step {model.experiment.step_size:g} s"
     measured += untold if model.experiment == Experiment() else ""
     return CheckRow("pace", True, "for information", "; warning: ".join([measured, *warnings]), values=values)

@@ -113,6 +113,6 @@ def test_a_step_is_not_too_short_for_a_disturbance_that_is_fast():
 
 def test_check_says_which_field_sets_the_step_where_a_model_has_none():
     told, untold = lags(3.0, 3.0, experiment=Experiment(step_size=0.01)), lags(3.0, 3.0, experiment=Experiment())
-    assert "step 0.001 s, as the model has no experiment=Experiment(stop_time=…, step_size=…)" in str(check(untold))
+    assert "step 0.001 s, as the model has no experiment=Experiment(stop_time=..., step_size=...)" in str(check(untold))
     assert "step 0.01 s" in str(check(told))
     assert "experiment=" not in str(check(told))

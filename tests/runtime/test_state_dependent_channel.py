@@ -492,7 +492,10 @@ def two(x, u, p):
         ),
         ({"channel": lambda x, u, p: [1]}, "channel returns 1 expressions, received shape (4, 2)"),
         ({"disturbances": ["tool_force", "weight"]}, "disturbances: expected one disturbance where there is a channel"),
-        ({"channel": lambda x, u, p: [x.wrist, 1]}, "channel: expected channel(x, u, p) returning a list of SymPy"),
+        (
+            {"channel": lambda x, u, p: [x.wrist, 1]},
+            "elbow_rate, received x.wrist; likely cause: a name that is not declared",
+        ),
         ({"channel": lambda x, u, p: [sympy.Symbol("wrist"), 1]}, "ToolOnArm.channel: expected expressions in"),
         ({"channel": lambda x, u, p: [sympy.Symbol("tool_force"), 1]}, "received the symbol 'tool_force'"),
         ({"channel": lambda x, u, p: []}, "channel: expected at least one expression, received none"),
