@@ -15,6 +15,12 @@ from ndob_fmu.log.made_log import Sensor, make_log, steps
 from ndob_fmu.native.build import build_native
 
 ROWS, STEP = 25_000, 2e-3
+NOISE = {"motor_angle": 1e-4, "link_angle": 1e-4}
+TOLD = {
+    **{f"{name}_noise_std": std for name, std in NOISE.items()},
+    "disturbance_order": 1,
+    "disturbance_rate": 2.0,
+}
 NATIVE, PYTHON = "estimate, native observer", "estimate, observer in Python"
 
 
@@ -27,7 +33,7 @@ def test_log(benchmark, section, tmp_path, monkeypatch):
         step=STEP,
         stop_time=STEP * (ROWS - 1),
         disturbances={"load_torque": steps(1.5, 0.3, 1, STEP * ROWS)},
-        sensors={name: Sensor(1e-4, missing=0.01, outliers=0.001, outlier_size=0.01) for name in joint.outputs},
+        sensors={name: Sensor(std, missing=0.01, outliers=0.001, outlier_size=0.01) for name, std in NOISE.items()},
         jitter=0.03,
     )
     build_native(joint, tmp_path / "fmus")
@@ -38,7 +44,7 @@ def test_log(benchmark, section, tmp_path, monkeypatch):
     def once():
         for what, native in ((NATIVE, tmp_path / "fmus"), (PYTHON, None)):
             begin, figures[0] = process_time(), 0.0
-            estimate_log(joint, log, tmp_path / "out", native=native)
+            estimate_log(joint, log, tmp_path / "out", native=native, start_values=TOLD)
             times[what][0] = process_time() - begin - figures[0]
 
     benchmark.pedantic(once, rounds=1)
