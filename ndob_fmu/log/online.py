@@ -100,7 +100,7 @@ def along(observer: Observer[Any], x_hat: Vector, blocks: Iterator[Log], run: Ru
     run = run or _InPython(observer, x_hat)
     block = next(blocks)
     following = next(blocks, None)
-    usual = _usual_step(block, following)
+    usual = usual_step(block.time if following is None else np.append(block.time, following.time[0]))
     while True:
         end = block.time[-1] + usual if following is None else following.time[0]
         step = np.diff(block.time, append=end)
@@ -110,10 +110,10 @@ def along(observer: Observer[Any], x_hat: Vector, blocks: Iterator[Log], run: Ru
         block, following = following, next(blocks, None)
 
 
-def _usual_step(block: Log, following: Log | None) -> float:
-    times = block.time if following is None else np.append(block.time, following.time[0])
+def usual_step(time: Array) -> float:
+    """Return the usual step (s) between two or more times."""
     # The last digits of times are rounding errors; with them a log's estimate would depend on its first row.
-    return float(f"{np.median(np.diff(times)):.9g}")
+    return float(f"{np.median(np.diff(time)):.9g}")
 
 
 def parts_of_steps(log: Log, step: Array, usual: float) -> NDArray[np.int_]:

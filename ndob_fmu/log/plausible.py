@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ndob_fmu.log.log import Log
-from ndob_fmu.log.online import Stretch
+from ndob_fmu.log.online import Stretch, usual_step
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.pace import Pace, pace_warnings
 from ndob_fmu.runtime.equations import Equations
@@ -42,7 +42,8 @@ class Plausibility:
     def blocks(self, blocks: Iterator[Log]) -> Iterator[Log]:
         """Yield the blocks of a log, counted."""
         for block in blocks:
-            self._step = self._step or _usual_step(block.time)
+            if not self._step and len(block.time) > 1:
+                self._step = usual_step(block.time)
             rows = np.concatenate([block.inputs, block.outputs], axis=1)
             with np.errstate(invalid="ignore"):  # a range without an end has no width
                 width = _WIDTHS * (self._high - self._low)
@@ -96,10 +97,6 @@ class Plausibility:
     def _unit(self, name: str) -> str:
         unit = self._eq.units.get(name, "")
         return f" {unit}" if unit else ""
-
-
-def _usual_step(time: Array) -> float:
-    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
 def with_likely_cause(message: str, warnings: Sequence[str]) -> str:
