@@ -34,13 +34,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = Path(name)
         write_log(folder / "measured.csv", measured, 0.0 * force)
         write_log(folder / "pulses.csv", measured, force)
-        fitted = fit_log(model, folder / "measured.csv", folder / "fit", free=FREE, start_values={"lag": LAG})
+        told = {"lag": LAG}
+        fitted = fit_log(model, folder / "measured.csv", folder / "fit", free=FREE, start_values=told, native=folder)
         print(fitted_table(fitted), map_table(fitted), sep="\n\n", end="\n\n")
-        estimate_log(model, folder / "pulses.csv", folder / "out", start_values=fitted.start_values)
-        found = estimates(read_csv(folder / "out" / RESULT), force)
-    print(table(measured.t, found))
+        found = fitted.start_values
+        estimate_log(model, folder / "pulses.csv", folder / "out", start_values=found, native=folder)
+        made = estimates(read_csv(folder / "out" / RESULT), force)
+    print(table(measured.t, made))
     given.out.mkdir(parents=True, exist_ok=True)
-    for path in write(given.out, fitted, measured.t, found):
+    for path in write(given.out, fitted, measured.t, made):
         print(path)
     return 0
 

@@ -104,7 +104,8 @@ def _fit(options: argparse.Namespace) -> int:
 
     out = options.out or Path("results", options.log.stem)
     model = load_model(options.model)
-    fitted = fit_log(model, options.log, out, free=options.free, hold=options.hold, **_told(options))
+    native, told = NATIVE / "fmus", _told(options)
+    fitted = fit_log(model, options.log, out, free=options.free, hold=options.hold, native=native, **told)
     print(_fit_text(fitted, model.units))
     path = out / FIT
     print(f"{path}: `{_estimate_with(options, path)}` uses it")
@@ -149,6 +150,7 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
     held = found.held_out_values
     judged = ", ".join(f"order {order} {value:.4f}" for order, value in held.items() if value is not None)
     lines = [
+        f"{found.rows + found.held_out} rows, along which the {found.build} observer ran",
         f"noise_std: {each(found.noise_std)}; {found.outliers} outliers",
         f"the disturbance {kind}{jumps}: disturbance_order {found.order}; log-likelihood of a sample of the "
         + (f"{found.held_out} held-out rows: {judged}" if judged else "rows; none was held out"),

@@ -18,7 +18,7 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.estimate_figures import Thinned, write_figures
 from ndob_fmu.log.log import Found
 from ndob_fmu.log.log_columns import Signals
-from ndob_fmu.log.native_run import native_run
+from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Run, Stretch, along
 from ndob_fmu.log.plausible import Plausibility, with_likely_cause
 from ndob_fmu.log.read_log import read_log
@@ -42,7 +42,6 @@ from ndob_fmu.support.progress import begin
 
 # An interval that is so many times the usual one is a gap.
 _GAP = 5.0
-PYTHON, NATIVE = "Python", "native"
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,8 @@ def estimate_log(
     names: the model's name for each column of the log that has another one
     units: of columns that are not in the model's unit
     start_values: of the observer's parameters, in place of the model's
-    native: folder of native FMUs; that of this model's observer takes the steps, where it is there, else Python does
+    native: folder of native FMUs; that of this model's observer takes the steps, or `kept_observer`, which is built for
+        a long log; where there is neither, Python does
 
     All files are written or none. Raises UsageError for a log or values that cannot be used, DesignError and
     AssumptionError where the observer cannot be designed, IntegrationError where its estimate leaves the finite
@@ -138,13 +138,16 @@ def estimate_log(
 
     with atomic_folder(folder) as new:
         # Values in another unit overflow in the equations, of which an error or a warning of ours tells.
-        with native_run(model, native, values, observer, x_hat) as run, np.errstate(over="ignore", invalid="ignore"):
+        with (
+            native_run(model, native, values, observer, x_hat, len(first.time)) as run,
+            np.errstate(over="ignore", invalid="ignore"),
+        ):
             try:
                 write_csv_parts(new / RESULT, rows(run))
             except IntegrationError as error:
                 raise IntegrationError(with_likely_cause(str(error), check.warnings())) from error
         diagnoses = dict(zip(eq.outputs, tally.diagnoses(), strict=True))
-        verdicts, build = _verdicts(eq, sampled, diagnoses), PYTHON if run is None else NATIVE
+        verdicts, build = _verdicts(eq, sampled, diagnoses), build_of(run)
         estimated = counts.estimated(build, diagnoses, verdicts, (*warnings, *check.warnings()), smooths=smooths)
         disturbances, outputs = _with_units(eq, eq.disturbances), _with_units(eq, eq.outputs)
         write_figures(new, kept, disturbances, outputs, diagnoses, estimated.shown_time, smooths=smooths)

@@ -22,6 +22,10 @@ from ndob_fmu.runtime.step.observer import Observer
 
 # Steps whose results are in memory at once, but for those over one gap.
 _AT_ONCE = 20_000
+# Rows whose steps in Python take about as long as a build.
+_WORTH_A_BUILD = 10_000
+
+PYTHON, NATIVE = "Python", "native"
 
 
 class NativeRun:
@@ -85,16 +89,23 @@ class NativeRun:
 
 @contextmanager
 def native_run(
-    model: Model, folder: Path | None, values: Mapping[str, Any], observer: Observer[Any], x_hat: Vector
+    model: Model, folder: Path | None, values: Mapping[str, Any], observer: Observer[Any], x_hat: Vector, rows: int
 ) -> Iterator[NativeRun | None]:
-    """Yield what takes the steps of an observer of a model from x̂₀ (n,), by a native FMU in a folder.
+    """Yield what takes the steps of an observer of a model from x̂₀ (n,), by a native FMU in a folder or that is kept.
 
     values: of all parameters, which the observer has
+    rows: how many there are at least; for many of them an FMU is built
 
-    It is None where `native_observer` finds no FMU.
+    It is None where `native_observer` finds no FMU, and without a folder.
     """
-    with nullcontext() if folder is None else native_observer(model, folder, values) as native:
+    builds = rows >= _WORTH_A_BUILD
+    with nullcontext() if folder is None else native_observer(model, folder, values, builds=builds) as native:
         yield None if native is None else NativeRun(observer, x_hat, native)
+
+
+def build_of(run: NativeRun | None) -> str:
+    """Return what the steps of an observer are taken by, PYTHON or NATIVE."""
+    return PYTHON if run is None else NATIVE
 
 
 def _numbered(value: Any, places: Iterator[int]) -> Any:

@@ -83,6 +83,14 @@ def this_platform() -> str:
     return next((name for name, one in PLATFORMS.items() if one.runs_here in ((system, machine), (system, ""))), "")
 
 
+def has_compiler(target: str) -> bool:
+    """Return whether a compiler is found for a platform, one of PLATFORMS or none of them."""
+    try:
+        return target in PLATFORMS and bool(_compilers(PLATFORMS[target], target))
+    except UsageError:
+        return False
+
+
 def binary(name: str, files: Mapping[str, str], target: str) -> bytes:
     """Return the library of a native FMU for a platform, one of PLATFORMS.
 

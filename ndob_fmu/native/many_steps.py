@@ -18,6 +18,7 @@ from ndob_fmu.interface.model_variables import observer_variables
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.native.compile import PLATFORMS, this_platform
+from ndob_fmu.native.kept_observer import kept_observer
 from ndob_fmu.native.origin import ORIGIN, origin
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import IntegrationError
@@ -138,16 +139,21 @@ class NativeObserver:
 
 
 @contextmanager
-def native_observer(model: Model, folder: Path, values: Mapping[str, Any]) -> Iterator[NativeObserver | None]:
+def native_observer(
+    model: Model, folder: Path, values: Mapping[str, Any], *, builds: bool = False
+) -> Iterator[NativeObserver | None]:
     """Yield an instance of the native observer that `build_native` has written into a folder, for FMI 2.0.
 
     values: of all parameters
+    builds: whether one is built for the cache folder where there is none
 
-    It is None where there is no FMU of this model for this platform that this version of the package has made, and
-    where its library cannot be loaded.
+    Where there is no FMU of this model for this platform that this version of the package has made, it is the one that
+    `kept_observer` finds. It is None where that has none, and where the library cannot be loaded.
     """
     with temporary_folder() as work:
-        found = _unpacked(model, folder, work)
+        found = _unpacked(model, folder / f"{model.name}Observer.fmu", work)
+        if found is None and (own := kept_observer(model, work, builds=builds)) is not None:
+            found = _unpacked(model, own, work)
         instance = None
         if found is not None:
             with suppress(OSError, AttributeError):
@@ -159,21 +165,21 @@ def native_observer(model: Model, folder: Path, values: Mapping[str, Any]) -> It
                 instance.end()
 
 
-def _unpacked(model: Model, folder: Path, work: Path) -> tuple[Path, str] | None:
-    """Return the library of a model's observer in a folder, and the GUID of the FMU; None where there is none."""
-    name, here = f"{model.name}Observer", PLATFORMS.get(this_platform())
+def _unpacked(model: Model, fmu: Path, work: Path) -> tuple[Path, str] | None:
+    """Return the library of a model's observer in an FMU, and the FMU's GUID; None where it has none."""
+    here = PLATFORMS.get(this_platform())
     if here is None:
         return None
     try:
-        with zipfile.ZipFile(folder / f"{name}.fmu") as archive:
+        with zipfile.ZipFile(fmu) as archive:
             if archive.read(ORIGIN) != origin(model):
                 return None
             guid = ElementTree.fromstring(archive.read("modelDescription.xml")).get("guid")
-            binary = archive.read(f"binaries/{here.folders[0]}/{name}{here.suffix}")
+            binary = archive.read(f"binaries/{here.folders[0]}/{fmu.stem}{here.suffix}")
     except (OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError):
         return None
     if guid is None:
         return None
-    library = work / f"{name}{here.suffix}"
+    library = work / f"{fmu.stem}{here.suffix}"
     library.write_bytes(binary)
     return library, guid

@@ -68,7 +68,9 @@ def test_the_script_finds_the_pulses_of_a_made_record_and_writes_its_page(made, 
     values = {"position_noise_std": 1e-7, "disturbance_order": 1, "disturbance_rate": 1e3, "lag": 0.02}
     told = dict.fromkeys(FREE, Told(1.0, 0.1))
     maps = {"force": LearnedMap(("friction of velocity",), 4.0, 1.0)}
-    fitted = Fitted(560, 240, 1, True, 0, 0, {"position": Told(1e-7, 1e-9)}, {}, told, maps, {}, ("a line",), values)
+    fitted = Fitted(
+        "Python", 560, 240, 1, True, 0, 0, {"position": Told(1e-7, 1e-9)}, {}, told, maps, {}, ("a line",), values
+    )
     monkeypatch.setattr("benchmarks.emps.__main__.fit_log", lambda *_, **__: fitted)
     assert main([str(made), "--out", str(tmp_path)]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted((PAGE, WHOLE, EDGE))

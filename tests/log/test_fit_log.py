@@ -29,7 +29,7 @@ NOISE = {"place": 2e-3, "rate": 3e-2}
 
 
 def setup(free=(), **values):
-    return Setup(CART, EQUATIONS, told_values(EQUATIONS, {**WRONG, **values}), free, 0.3)
+    return Setup(CART, EQUATIONS, told_values(EQUATIONS, {**WRONG, **values}), free, 0.3, None)
 
 
 def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
@@ -128,11 +128,12 @@ def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys):
     told = ["--map", "Place [mm]=place", "--unit", "Place [mm]=m"]
     assert main(["fit", str(model), str(log), *told, "--start-values", "lag", "0.1", "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("noise_std: place 0.00")
-    assert "±" in lines[0]
-    assert "disturbance wanders: disturbance_order 1" in lines[1]
-    assert lines[2] == "parameters: none fitted"
-    assert lines[3] == "± is two standard deviations; an entry <name>_std of fit.json is one"
+    assert lines[0] == "900 rows, along which the Python observer ran"
+    assert lines[1].startswith("noise_std: place 0.00")
+    assert "±" in lines[1]
+    assert "disturbance wanders: disturbance_order 1" in lines[2]
+    assert lines[3] == "parameters: none fitted"
+    assert lines[4] == "± is two standard deviations; an entry <name>_std of fit.json is one"
     assert lines[-1].endswith("` uses it")
     command = shlex.split(lines[-1].split("`")[1])
     assert command == [

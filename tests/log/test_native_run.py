@@ -10,6 +10,7 @@ import pytest
 from ndob_fmu.cli import main
 from ndob_fmu.errors import NdobError
 from ndob_fmu.interface.told_observer import told_observer
+from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.native_run import native_run
 from ndob_fmu.log.online import along
@@ -55,7 +56,7 @@ def both(fmus, log, told):
     """Return what the observer says along a log by the native FMU and in Python, stretch by stretch."""
     values = told_values(EQUATIONS, told)
     observer = told_observer(EQUATIONS, values.__getitem__, print)
-    with native_run(CART, fmus, values, observer, X_HAT) as run:
+    with native_run(CART, fmus, values, observer, X_HAT, 700) as run:
         assert run is not None
         native = list(along(observer, X_HAT, blocks(log), run))
     return native, list(along(observer, X_HAT, blocks(log)))
@@ -102,9 +103,19 @@ def test_the_command_takes_the_native_observer_of_the_model_by_itself_and_says_s
     np.testing.assert_allclose(said["native"] / size, said["Python"] / size, rtol=0.0, atol=1e-8)
 
 
-def is_taken(model, folder):
+def test_fit_runs_the_native_observer_along_the_log(fmus, rough):
+    told = told_values(EQUATIONS, {"lag": 0.1, "mass_std": 0.1})
+    native, python = (
+        Setup(CART, EQUATIONS, told, (), 0.3, folder).online(rough, None, None) for folder in (fmus, None)
+    )
+    assert (native.build, python.build) == ("native", "Python")
+    got, expected = native.stretch.online.predicted, python.stretch.online.predicted
+    np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def is_taken(model, folder, rows=700):
     values = told_values(EQUATIONS, {})
-    with native_run(model, folder, values, told_observer(EQUATIONS, values.__getitem__, print), X_HAT) as run:
+    with native_run(model, folder, values, told_observer(EQUATIONS, values.__getitem__, print), X_HAT, rows) as run:
         return run is not None
 
 
@@ -117,6 +128,25 @@ def test_an_fmu_of_another_model_or_of_another_version_of_the_package_is_not_tak
     assert not is_taken(replace(CART, parameters={**CART.parameters, "mass": 2.0 + 1e-15}), fmus)
     monkeypatch.setattr(origin, "_writers", lambda: "another version")
     assert not is_taken(CART, fmus)
+
+
+def test_a_long_log_builds_the_native_observer_once_and_then_short_ones_take_it_too(fmus, tmp_path, monkeypatch, rough):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    nowhere = tmp_path / "no folder"
+    assert not is_taken(CART, nowhere, rows=9_999)
+    assert is_taken(CART, nowhere, rows=10_000)
+    monkeypatch.setenv("CC", "no compiler")
+    assert is_taken(CART, nowhere)
+    (kept, _), (built, _) = both(nowhere, rough, TUNED), both(fmus, rough, TUNED)
+    for one, other in zip(kept, built, strict=True):
+        np.testing.assert_array_equal(one.online.d_hat, other.online.d_hat)
+    assert not is_taken(replace(CART, parameters={**CART.parameters, "mass": 2.5}), nowhere, rows=10_000)
+
+
+def test_without_a_compiler_the_observer_runs_in_python(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("CC", "no compiler")
+    assert not is_taken(CART, tmp_path, rows=10_000)
 
 
 def test_an_fmu_without_a_library_for_this_platform_or_with_a_broken_one_is_not_taken(fmus, tmp_path):

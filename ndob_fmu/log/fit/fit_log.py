@@ -52,6 +52,7 @@ class Told:
 class Fitted:
     """What was found in a log.
 
+    build: of the observer that ran along it, as in `Estimated`
     rows, held_out: fitted rows, and rows that were held out
     order: of the disturbance; with 1 it wanders, with 2 it is smooth
     is_jumping: whether a disturbance that jumps explains the log better than one that does not
@@ -65,6 +66,7 @@ class Fitted:
     start_values: for fit.json
     """
 
+    build: str
     rows: int
     held_out: int
     order: int
@@ -90,12 +92,13 @@ def fit_log(
     names: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     start_values: Mapping[str, Any] | None = None,
+    native: Path | None = None,
 ) -> Fitted:
     """Fit noise, class and pace of the disturbance and free parameters of a model to a log; write fit.json.
 
     free: parameters of the model to be fitted
     hold: share of the rows, the last ones, that is held out to judge by
-    names, units, start_values: as of `estimate_log`
+    names, units, start_values, native: as of `estimate_log`
 
     Raises UsageError for a log or values that cannot be used, DesignError and AssumptionError where the observer cannot
     be designed, IntegrationError where its estimate leaves the finite numbers.
@@ -103,7 +106,7 @@ def fit_log(
     eq = compile_model(model)
     values = told_values(eq, start_values or {})
     given = {name: values[name] for name in start_values or {}}
-    setup = Setup(model, eq, values, tuple(free), hold)
+    setup = Setup(model, eq, values, tuple(free), hold, native)
     setup.check()
     run = setup.online(path, names, units)
     fitted = _fitted(setup, run, given)
@@ -150,6 +153,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     pace, pace_std = pace * best.raised, pace_std * best.raised
     rates = _rates(setup, best, found, pace, run)
     return Fitted(
+        build=run.build,
         rows=best.problem.trained,
         held_out=run.rows - best.problem.trained,
         order=best.order,

@@ -15,7 +15,9 @@ from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
 from ndob_fmu.log.along import Samples, in_layout
 from ndob_fmu.log.fit.problem import Problem
+from ndob_fmu.log.log import Log
 from ndob_fmu.log.log_columns import Signals
+from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Online, Stretch, along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
@@ -42,11 +44,13 @@ class Run:
     stretch: rows of the log, and what the observer said there
     observer: that said it
     is_whole: whether these are all rows of the log
+    build: of the observer, as in `estimate_log`
     """
 
     stretch: Stretch
     observer: SampledObserver
     is_whole: bool
+    build: str
 
     @property
     def rows(self) -> int:
@@ -61,6 +65,7 @@ class Setup:
     values: of all parameters of the observer
     free: parameters of the model that are fitted
     hold: share of the rows, the last ones, that is held out
+    native: folder of native FMUs, as in `estimate_log`
     """
 
     model: Model
@@ -68,6 +73,7 @@ class Setup:
     values: Mapping[str, Any]
     free: tuple[str, ...]
     hold: float
+    native: Path | None
 
     def check(self) -> None:
         """Raise UsageError for what cannot be fitted."""
@@ -94,8 +100,6 @@ class Setup:
     def online(self, path: str | Path, names: Mapping[str, str] | None, units: Mapping[str, str] | None) -> Run:
         """Run the observer along the first block of a log."""
         eq = self.equations
-        order = max(1, self.values["disturbance_order"])
-        observer = self._observer({**self.values, "disturbance_order": order, "lag": 0.0})
         blocks = read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {}))
         block, following = next(blocks), next(blocks, None)
         if len(block.time) < _LEAST_ROWS:
@@ -103,12 +107,20 @@ class Setup:
                 str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(len(block.time))
             )
         begin(f"fitting, part 1 of 5: running the observer along {len(block.time)} rows")
-        return Run(next(along(observer, self._x_hat, iter([block]))), observer, following is None)
+        return self._run(
+            {"disturbance_order": max(1, self.values["disturbance_order"])}, block, is_whole=following is None
+        )
 
     def along(self, changes: Mapping[str, Any], run: Run, rows: int) -> Online:
         """Return what an observer with changed values says along the first rows of a log."""
-        observer = self._observer({**self.values, **changes, "lag": 0.0})
-        return next(along(observer, self._x_hat, iter([run.stretch.rows(slice(rows)).log]))).online
+        return self._run(changes, run.stretch.rows(slice(rows)).log, is_whole=False).stretch.online
+
+    def _run(self, changes: Mapping[str, Any], log: Log, *, is_whole: bool) -> Run:
+        values = self._known({**self.values, **changes, "lag": 0.0})
+        observer, x_hat = self._observer(values), self._x_hat
+        with native_run(self.model, self.native, values, observer, x_hat, len(log.time)) as native:
+            stretch = next(along(observer, x_hat, iter([log]), native))
+        return Run(stretch, observer, is_whole, build_of(native))
 
     def problem(self, run: Run, order: int) -> Problem:
         """Return what a class of disturbances of an order is fitted to."""
@@ -168,9 +180,11 @@ class Setup:
 
     def _observer(self, values: Mapping[str, Any]) -> SampledObserver:
         """Return the observer for values, with no uncertain parameters."""
-        eq = self.equations
-        known = {f"{name}_std": 0.0 for name in eq.parameters}
-        return told_observer(eq, {**values, **known}.__getitem__, ignored)
+        return told_observer(self.equations, self._known(values).__getitem__, ignored)
+
+    def _known(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return values with no uncertain parameters."""
+        return {**values, **{f"{name}_std": 0.0 for name in self.equations.parameters}}
 
     def _prior(self, name: str, value: float) -> float:
         told = float(self.values[f"{name}_std"])

@@ -121,7 +121,7 @@ class Workbench:
         block = next(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
         begin(f"running the observer along {len(block.time)} rows of the log")
         self._x_hat = values_of(self._values.__getitem__, eq.states, "_hat_start")
-        with native_run(model, native, self._values, observer, self._x_hat) as run:
+        with native_run(model, native, self._values, observer, self._x_hat, len(block.time)) as run:
             self.stretch = next(along(observer, self._x_hat, iter([block]), run))
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
