@@ -56,17 +56,28 @@ def _in_units(F: Array, channel: Array, H: Array, held: Array, parts: Array) -> 
 
 def _powers(X: Array) -> Array:
     """Return X^k/k! (terms,K,N,N), k = 0, 1, …"""
-    terms = [np.broadcast_to(np.eye(X.shape[1]), X.shape)]
+    terms = np.empty((_TERMS, *X.shape))
+    terms[0] = np.eye(X.shape[1])
     for k in range(1, _TERMS):
-        terms.append(terms[-1] @ X / k)
-    return np.array(terms)
+        np.matmul(terms[k - 1], X, out=terms[k])
+        terms[k] /= k
+    return terms
 
 
 def _short_noise(powers: Array, channel: Array, h: Array) -> Array:
     weights = SERIES_WEIGHTS * [float(factorial(k)) for k in range(_TERMS)]
-    terms = (powers @ channel) * np.sqrt(h)
-    return lower_factor(np.einsum("jk,kanc->acnj", weights, terms))
+    return lower_factor(_combined(weights, _columns(powers, channel) * np.sqrt(h)).transpose(1, 3, 2, 0))
 
 
 def _at_parts(powers: Array, held: Array, parts: Array) -> Array:
-    return np.asarray(np.einsum("sk,kanh->asnh", parts[:, None] ** np.arange(_TERMS), powers @ held))
+    return np.swapaxes(_combined(parts[:, None] ** np.arange(_TERMS), _columns(powers, held)), 0, 1)
+
+
+def _columns(powers: Array, columns: Array) -> Array:
+    """Return powers (terms,K,N,N) times columns (N,h), by one product of large matrices."""
+    return np.asarray((powers.reshape(-1, len(columns)) @ columns).reshape(*powers.shape[:3], columns.shape[1]))
+
+
+def _combined(weights: Array, terms: Array) -> Array:
+    """Return sums (s,K,N,h) of terms (terms,K,N,h) with weights (s,terms)."""
+    return np.asarray((weights @ terms.reshape(len(terms), -1)).reshape(len(weights), *terms.shape[1:]))

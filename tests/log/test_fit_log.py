@@ -119,7 +119,8 @@ def test_estimate_takes_what_was_found_and_has_no_verdict_on_the_noise(fitted, c
     assert "noise_std of" not in capsys.readouterr().out
 
 
-def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys):
+def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # which has no native observer
     made_log(tmp_path / "log.csv", "walk", 4, rows=900)
     model = tmp_path / "cart.py"
     model.write_text("from tests.log.test_estimate_log import CART as model\n")

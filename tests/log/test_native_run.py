@@ -85,6 +85,7 @@ def test_the_native_observer_says_of_a_rough_log_what_the_one_in_python_says(fmu
 
 def test_the_command_takes_the_native_observer_of_the_model_by_itself_and_says_so(tmp_path, monkeypatch, capsys, fmus):
     monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *_, **__: None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "model.py").write_text("from tests.log.test_estimate_log import CART as model\n")
     time = 0.01 * np.arange(200)
@@ -120,6 +121,7 @@ def is_taken(model, folder, rows=700):
 
 
 def test_an_fmu_of_another_model_or_of_another_version_of_the_package_is_not_taken(fmus, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert is_taken(CART, fmus)
     assert not is_taken(CART, tmp_path)
     drag = replace(CART, dynamics=lambda x, u, d, p: [x.rate, (u.force - p.drag * x.rate + d.wind) / p.mass])
@@ -149,7 +151,8 @@ def test_without_a_compiler_the_observer_runs_in_python(tmp_path, monkeypatch):
     assert not is_taken(CART, tmp_path, rows=10_000)
 
 
-def test_an_fmu_without_a_library_for_this_platform_or_with_a_broken_one_is_not_taken(fmus, tmp_path):
+def test_an_fmu_without_a_library_for_this_platform_or_with_a_broken_one_is_not_taken(fmus, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for name, change in (("none", None), ("broken", b"no library")):
         folder = tmp_path / name
         folder.mkdir()

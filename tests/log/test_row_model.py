@@ -7,7 +7,7 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.along import intensities
-from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.row_model import RowModel, calm_units
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.runtime.step.error_columns import joined
@@ -65,3 +65,14 @@ def test_the_noise_of_all_steps_is_that_of_each_step(case):
     as_told = [1.0] * len(eq.outputs)
     expected = [tuned.model.noise_sizes(tuned.intensity(H, as_told), H) for H in steps.tolist()]
     np.testing.assert_allclose(found, expected, rtol=1e-13)
+
+
+def test_a_chain_of_integrators_has_units_in_which_its_norm_is_small_however_long_the_step():
+    chain = np.diag([5.0, 0.1], 1)
+    units = calm_units(chain, np.ones(3))
+    assert (chain * (units / units[:, None])).sum(axis=1).max() <= 0.25
+
+
+def test_units_stay_as_they_are_where_the_plant_is_too_fast_for_any():
+    fast = np.array([[0.3, 1.0], [0.0, 0.1]])
+    np.testing.assert_array_equal(calm_units(fast, np.array([2.0, 4.0])), [2.0, 4.0])
