@@ -9,11 +9,12 @@ import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.along import Samples, Start, intensities, record_along
-from ndob_fmu.log.events import Events, Explained, cut_with_events, explained
+from ndob_fmu.log.event_search import explained
+from ndob_fmu.log.events import Events, Explained
 from ndob_fmu.log.online import Stretch
-from ndob_fmu.log.pieces import CutRecord, parts_of
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smoother import smoothed
+from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.adaptive_noise import in_use
@@ -28,8 +29,6 @@ _SURE = 200
 # The equations are linearised along the online estimate, then along the smoothed one.
 _LINEARISATIONS = 2
 _LEAST_SPACING = 3
-# A filter has forgotten its start after so many spacings of jumps, a quarter of 1/bandwidth each, and rows.
-_FORGOTTEN, _LEAST_OVERLAP = 60.0, 50
 
 
 @dataclass(frozen=True)
@@ -56,16 +55,6 @@ def can_smooth(observer: SampledObserver) -> bool:
 def start_samples(observer: SampledObserver) -> int:
     """Return how many samples the start lasts."""
     return filter_model(observer, 1.0, 0.0).start_samples
-
-
-def forgotten_rows(tuned: Tuned) -> int:
-    """Return after how many rows a filter has forgotten its start."""
-    return max(_LEAST_OVERLAP, round(_FORGOTTEN * tuned.model.jump_spacing / tuned.H))
-
-
-def overlap(tuned: Tuned) -> int:
-    """Return by how many rows the pieces of a record overlap at first; half as many are seldom enough."""
-    return 2 * forgotten_rows(tuned)
 
 
 def event_spacing(tuned: Tuned) -> int:
@@ -114,14 +103,9 @@ def explained_stretch(
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
     trajectory = np.array([model.layout.unpacked(row) for row in said.predicted])
-    cut: CutRecord | None = None
     for _ in range(1 if model.is_linear else _LINEARISATIONS):
         record, columns = record_along(equations, samples, trajectory, lambda steps: intensities(tuned, steps), start)
-        if cut is None:
-            cut = cut_with_events(record, overlap(tuned), model.start_std, columns, events)
-        else:  # the filter forgets its start about another trajectory as fast
-            cut = CutRecord(record, cut.pieces, parts_of(record, cut.pieces, model.start_std))
-        found = explained(cut, columns, spacing, started, events)
+        found = explained(WholeRecord(record), columns, spacing, started, events)
         about, events = trajectory, found.events
         trajectory = about + smoothed(found.forward, found.adjoint).xi
     return found, about

@@ -5,7 +5,7 @@ About a trajectory, the errors ξ (N,) and the samples of a record are linear,
     ξ_{k+1} = Φ_k ξ_k + a_k + N_k w_k,     e_k = C_k ξ_k + v_k,     v_k ~ N(0, R_k)
 
     forward    ξ̂⁻, P⁻ = S Sᵀ, and of each sample its gain K, innovation e and variance α
-    backward   u = e/α − Kᵀλ,  D = 1/α + KᵀΛK,  λ ← λ + cᵀu,  Λ ← (I − K c)ᵀ Λ (I − K c) + cᵀc/α;   λ ← Φᵀλ,  Λ ← ΦᵀΛΦ
+    backward   λ ← Φᵀλ,  Λ ← ΦᵀΛΦ;   u = e/α − Kᵀλ,  D = 1/α + KᵀΛK,  λ ← λ + cᵀu,  Λ ← (I − K c)ᵀ Λ (I − K c) + cᵀc/α
     smoothed   ξ̂ = ξ̂⁻ + P⁻λ,   P = P⁻ − P⁻ΛP⁻
 
 (Bierman, 1973). λ and Λ are the score of the likelihood with regard to anything that is added to ξ_k, and its variance.
@@ -22,6 +22,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu.log.closed_loop import ClosedLoop, closed_loop
 from ndob_fmu.runtime.arrays import Array
 
 
@@ -125,51 +126,59 @@ def forward(record: LinearRecord, jumps: Mapping[int, Array] | None = None) -> F
         if k in added:
             S = lower_factor(np.concatenate([S, added[k]], axis=-1))
         found.xi[k], found.factor[k] = xi, S
+        both = np.concatenate([S, xi[..., None]], axis=-1)
         for i in range(p):
             if not there[k, i]:
                 continue
-            c, R, known = record.rows[k, ..., i, :], record.variance[k, ..., i], measured[k, ..., i]
-            f = np.matmul(c[..., None, :], S)[..., 0, :]
-            alpha = (f * f).sum(axis=-1) + R
-            gain = np.matmul(S, f[..., None])[..., 0] * (known / alpha)[..., None]
-            e = known * (misfit[k, ..., i] - (c * xi).sum(axis=-1))
-            xi = xi + gain * e[..., None]
-            S = S - (gain / (1.0 + np.sqrt(R / alpha))[..., None])[..., :, None] * f[..., None, :]
+            R, known = record.variance[k, ..., i], measured[k, ..., i]
+            seen = np.matmul(record.rows[k, ..., i, None, :], both)[..., 0, :]
+            f = seen[..., :N]
+            alpha = np.einsum("...i,...i->...", f, f) + R
+            gain = np.matmul(both[..., :N], f[..., None])[..., 0] * (known / alpha)[..., None]
+            e = known * (misfit[k, ..., i] - seen[..., N])
             found.gain[k, ..., i, :], found.innovation[k, ..., i] = gain, e
             found.alpha[k, ..., i] = np.where(known, alpha, np.inf)
+            f /= (1.0 + np.sqrt(R / alpha))[..., None]
+            seen[..., N] = -e
+            both = both - gain[..., None] * seen[..., None, :]
         if k < K - 1:
-            xi = np.matmul(record.Phi[k], xi[..., None])[..., 0] + record.shift[k]
-            S = lower_factor(np.concatenate([record.Phi[k] @ S, record.noise[k]], axis=-1))
+            both = np.matmul(record.Phi[k], both)
+            xi = both[..., N] + record.shift[k]
+            S = lower_factor(np.concatenate([both[..., :N], record.noise[k]], axis=-1))
     return found
 
 
-def backward(record: LinearRecord, found: Forward) -> Adjoint:
-    """Return the adjoint of a filtered record."""
-    K = len(record.rows)
-    several, (p, N) = record.rows.shape[1:-2], record.rows.shape[-2:]
-    of_state, of_variance = np.empty((K, *several, N)), np.empty((K, *several, N, N))
-    u, D = np.zeros((K, *several, p)), np.zeros((K, *several, p))
-    score, variance = np.zeros((*several, N)), np.zeros((*several, N, N))
-    measured: NDArray[np.bool_] = np.asarray(np.isfinite(found.alpha))
-    there, per_alpha = measured.reshape(K, -1, p).max(axis=1), 1.0 / found.alpha
+def closed_loop_along(record: LinearRecord, found: Forward) -> ClosedLoop:
+    """Return the closed loop at each row of a filtered record; there is no step from the last one."""
+    last = np.broadcast_to(np.eye(record.rows.shape[-1]), (1, *found.factor.shape[1:]))
+    Phi = np.concatenate([record.Phi, last])
+    return closed_loop(Phi, record.rows, found.gain, found.innovation, found.alpha)
+
+
+def backward(record: LinearRecord, found: Forward, after: tuple[Array, Array] | None = None) -> Adjoint:
+    """Return the adjoint of a filtered record.
+
+    after: λ (…,N) and Λ (…,N,N) behind its last samples, where the record goes on
+    """
+    return adjoint_of(closed_loop_along(record, found), after)
+
+
+def adjoint_of(loop: ClosedLoop, after: tuple[Array, Array] | None = None) -> Adjoint:
+    """Return the adjoint of a closed loop at each row (K,…); `after` as in `backward`."""
+    K = len(loop.Psi)
+    of_state, of_variance = (np.empty((K + 1, *one.shape[1:])) for one in (loop.of_state, loop.of_state_variance))
+    of_state[K], of_variance[K] = after or (0.0, 0.0)
+    back = np.swapaxes(loop.Psi, -1, -2)
     for k in range(K - 1, -1, -1):
-        for i in range(p - 1, -1, -1):
-            if not there[k, i]:
-                continue
-            known, gain = measured[k, ..., i], found.gain[k, ..., i, :]
-            c = record.rows[k, ..., i, :] * known[..., None]
-            seen = np.matmul(variance, gain[..., None])[..., 0]
-            u[k, ..., i] = found.innovation[k, ..., i] * per_alpha[k, ..., i] - (gain * score).sum(axis=-1)
-            D[k, ..., i] = per_alpha[k, ..., i] + (gain * seen).sum(axis=-1)
-            score = score + c * u[k, ..., i, None]
-            across = c[..., :, None] * (0.5 * D[k, ..., i, None] * c - seen)[..., None, :]
-            variance = variance + across + np.swapaxes(across, -1, -2)
-        of_state[k], of_variance[k] = score, variance
-        if k:
-            back = np.swapaxes(record.Phi[k - 1], -1, -2)
-            score = np.matmul(back, score[..., None])[..., 0]
-            variance = back @ variance @ record.Phi[k - 1]
-    return Adjoint(of_state, of_variance, u, D)
+        of_state[k] = np.matmul(back[k], of_state[k + 1, ..., None])[..., 0] + loop.of_state[k]
+        of_variance[k] = np.matmul(np.matmul(back[k], of_variance[k + 1]), loop.Psi[k]) + loop.of_state_variance[k]
+    of_later = np.matmul(of_variance[1:], loop.later)
+    return Adjoint(
+        of_state[:-1],
+        of_variance[:-1],
+        loop.of_sample + np.matmul(of_state[1:, ..., None, :], loop.later)[..., 0, :],
+        np.diagonal(loop.of_samples_variance, axis1=-2, axis2=-1) + (loop.later * of_later).sum(axis=-2),
+    )
 
 
 def smoothed(found: Forward, adjoint: Adjoint) -> Smoothed:

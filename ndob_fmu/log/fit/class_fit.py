@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ndob_fmu.log.events import Events, Explained, explained, with_events
+from ndob_fmu.log.event_search import explained
+from ndob_fmu.log.events import Events, Explained, with_events
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise
 from ndob_fmu.log.fit.problem import Linearised, Problem
-from ndob_fmu.log.pieces import CutRecord, cut, parts_of
 from ndob_fmu.log.smoother import smoothed
+from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_ROUNDS = 12
@@ -144,9 +145,9 @@ def fit_class(
 
 
 def _explained(known: Linearised, noise: NoiseFit) -> Explained:
-    """Return all rows with their events; the seams of pieces are as good as a trajectory to linearise about needs."""
+    """Return all rows with their events."""
     search = known.search(slice(None))
-    return explained(_cut(known, noise), search.columns, search.spacing, search.first, noise.events)
+    return explained(_whole(known, noise), search.columns, search.spacing, search.first, noise.events)
 
 
 def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
@@ -164,10 +165,8 @@ def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
     return value, int(np.isfinite(held.whole.misfit).sum())
 
 
-def _cut(known: Linearised, noise: NoiseFit) -> CutRecord:
-    problem = known.problem
-    record, pieces = noise.applied(known.record, problem.layout), cut(len(known.trajectory), problem.overlap)
-    return CutRecord(record, pieces, parts_of(record, pieces, problem.wide))
+def _whole(known: Linearised, noise: NoiseFit) -> WholeRecord:
+    return WholeRecord(noise.applied(known.record, known.problem.layout))
 
 
 def _raised(known: Linearised, noise: NoiseFit) -> Array:
@@ -184,7 +183,7 @@ def _raised(known: Linearised, noise: NoiseFit) -> Array:
     needed = np.zeros(len(factors))
     for turn in range(_MOST_RAISES):
         told = replace(noise, log_intensity=noise.log_intensity + np.log(factors))
-        found = with_events(_cut(known, told), known.columns, noise.events)
+        found = with_events(_whole(known, told), known.columns, noise.events)
         if turn == 0:
             smooth = known.trajectory[:, places] + smoothed(found.forward, found.adjoint).xi[:, places]
             jumps = sorted(found.events.jumps)

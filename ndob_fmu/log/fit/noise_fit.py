@@ -11,7 +11,8 @@ from math import inf
 
 import numpy as np
 
-from ndob_fmu.log.events import Events, Jumps, explained
+from ndob_fmu.log.event_search import explained
+from ndob_fmu.log.events import Events, Jumps
 from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood, scaled
 from ndob_fmu.log.pieces import CutRecord
 from ndob_fmu.log.smoother import LinearRecord

@@ -28,7 +28,7 @@ class Problem:
     intensity (q2,): of the noise behind the r-th derivative of d, to begin with
     free: indices of the parameters θ that are fitted; parameter_std (n_θ,): their prior standard deviations
     trained: how many rows are fitted; the others are held out
-    spacing, overlap: between two events, and of pieces, in rows
+    spacing: between two events, in rows
     """
 
     rows: RowModel
@@ -38,7 +38,6 @@ class Problem:
     parameter_std: Array
     trained: int
     spacing: int
-    overlap: int
 
     @property
     def layout(self) -> Layout:

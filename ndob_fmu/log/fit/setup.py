@@ -21,7 +21,6 @@ from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Online, Stretch, along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smooth_log import forgotten_rows
 from ndob_fmu.log.told_values import ignored
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -139,7 +138,6 @@ class Setup:
             parameter_std=np.array(prior),
             trained=run.rows - round(self.hold * run.rows),
             spacing=_SPACING,
-            overlap=forgotten_rows(tuned),
         )
 
     def trajectory(self, run: Run, problem: Problem) -> Array:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, closed_loop_along
 from ndob_fmu.runtime.arrays import Array
 
 
@@ -43,7 +43,8 @@ def lagged_adjoint(record: LinearRecord, found: Forward, rows: int) -> Adjoint:
 
     It has no scores of single samples.
     """
-    one = _one_row(record, found)
+    loop = closed_loop_along(record, found)
+    one = _Windows(loop.Psi, loop.of_state, loop.of_state_variance)
     K, N = one.b.shape
     windows, length = _Windows(np.tile(np.eye(N), (K, 1, 1)), np.zeros((K, N)), np.zeros((K, N, N))), 0
     wanted, power = min(rows + 1, K), 1
@@ -56,20 +57,3 @@ def lagged_adjoint(record: LinearRecord, found: Forward, rows: int) -> Adjoint:
             one, power = one.then(one, power), 2 * power
     none = np.zeros(found.alpha.shape)
     return Adjoint(windows.b, windows.C, none, none)
-
-
-def _one_row(record: LinearRecord, found: Forward) -> _Windows:
-    """Return the maps over the samples of one row and the step behind it."""
-    K, p, N = record.rows.shape
-    A, b, C = np.tile(np.eye(N), (K, 1, 1)), np.zeros((K, N)), np.zeros((K, N, N))
-    A[:-1] = record.Phi
-    for i in range(p - 1, -1, -1):
-        known = np.isfinite(found.alpha[:, i])
-        c = record.rows[:, i] * known[:, None]
-        per_alpha = np.where(known, 1.0 / found.alpha[:, i], 0.0)
-        without = np.eye(N) - found.gain[:, i, :, None] * c[:, None, :]
-        back = np.swapaxes(without, 1, 2)
-        b = (back @ b[:, :, None])[:, :, 0] + c * (found.innovation[:, i] * per_alpha)[:, None]
-        C = back @ C @ without + per_alpha[:, None, None] * c[:, :, None] * c[:, None, :]
-        A = A @ without
-    return _Windows(A, b, C)

@@ -19,18 +19,19 @@ from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
 from ndob_fmu.log.along import Samples, Start, in_layout, intensities, record_along
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
-from ndob_fmu.log.events import Events, Explained, Jumps, cut_with_events, explained, with_events
+from ndob_fmu.log.event_search import explained
+from ndob_fmu.log.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.native_run import native_run
 from ndob_fmu.log.online import along
-from ndob_fmu.log.pieces import CutRecord
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, noise_variance, overlap
+from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, noise_variance
 from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, smoothed
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.tune.settings import Settings, settings_of
+from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.filter_model import FilterModel
@@ -147,15 +148,15 @@ class Workbench:
         """
         key = (_without_lag(settings), self._events)
         if self._latest is None or self._latest[0] != key:
-            tuned, linear, cut = self._cut(settings)
-            self._latest = (key, tuned, linear, with_events(cut, linear.columns, self._events))
+            tuned, linear, record = self._record(settings)
+            self._latest = (key, tuned, linear, with_events(record, linear.columns, self._events))
         return self._as_shown(settings, *self._latest[1:])
 
     def find_jumps(self, settings: Settings) -> None:
         """Find the jumps and outliers that explain the log with these settings, in place of those that were known."""
-        tuned, linear, cut = self._cut(settings)
+        tuned, linear, record = self._record(settings)
         spacing, started = event_spacing(tuned), tuned.model.start_samples
-        self._events = explained(cut, linear.columns, spacing, started, self._events).events
+        self._events = explained(record, linear.columns, spacing, started, self._events).events
 
     def _observer(self, settings: Settings) -> SampledObserver:
         values = {**self._values, **settings.start_values(self.equations)}
@@ -174,8 +175,8 @@ class Workbench:
     def _start(self, observer: SampledObserver, model: FilterModel) -> Start:
         return Start(model.layout.unpacked(observer.init(self._x_hat).xi_hat), np.diag(model.start_std))
 
-    def _cut(self, settings: Settings) -> tuple[Tuned, _Linear, CutRecord]:
-        """Return the record with the noise of the settings, in pieces."""
+    def _record(self, settings: Settings) -> tuple[Tuned, _Linear, WholeRecord]:
+        """Return the record with the noise of the settings."""
         observer, tuned = self._tuned(settings)
         model = tuned.model
         if settings.order not in self._linear:
@@ -189,8 +190,7 @@ class Workbench:
             variance=noise_variance(model, self._noise_ratio(settings)),
             start_factor=np.diag(model.start_std),
         )
-        cut = cut_with_events(record, overlap(tuned), model.start_std, linear.columns, self._events)
-        return tuned, linear, cut
+        return tuned, linear, WholeRecord(record)
 
     def _noise_ratio(self, settings: Settings) -> Array:
         """Return the variance (K,p) that the observer found in the residuals, over the one of the settings."""

@@ -1,0 +1,118 @@
+"""The scores of a filtered record while events come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.log.event_effects import AlongRecord, Effect, Source
+from ndob_fmu.log.events import Explained
+from ndob_fmu.runtime.arrays import Array
+
+# An instant and the output of an outlier, None for a jump.
+Event = tuple[int, int | None]
+# A change takes as long as a pass over so many rows. Behind more of them another pass is faster.
+_ROWS_OF_A_CHANGE = 100
+# What is left of I − M where events that explain the same are taken away, at least, to be more than rounding errors.
+_LEAST_LEFT = 1e-6
+
+
+@dataclass(frozen=True)
+class Known:
+    """An event that the record has: its score s (c,) and I − M (c,c).
+
+    They are followed by themselves: for an event that explains much, M is nearly I.
+    """
+
+    source: Source
+    score: Array
+    left: Array
+
+    def changed(self, covariance: Array, weight: Array, score: Array) -> Known:
+        """Return it after a change, with which it has a covariance (c,·)."""
+        weighted = covariance @ weight
+        return Known(self.source, self.score - weighted @ score, self.left + weighted @ covariance.T)
+
+
+class EventScores:
+    """λ, Λ, u and D as in `Adjoint`, and what is known of each event; `sources`: of those the record has.
+
+    are_known: whether the scores are known well enough to go on
+    """
+
+    def __init__(self, found: Explained, sources: Mapping[Event, Source]) -> None:
+        adjoint = found.adjoint
+        self.of_state, self.of_state_variance = adjoint.of_state.copy(), adjoint.of_state_variance.copy()
+        self.of_sample, self.of_sample_variance = adjoint.of_sample.copy(), adjoint.of_sample_variance.copy()
+        self._along, self._effects = AlongRecord(found), list[tuple[Effect, Array]]()
+        self.are_known, self.known = True, dict[Event, Known]()
+        for which, source in sources.items():
+            score, M = self._of(source)
+            self.known[which] = Known(source, score, np.eye(len(M)) - M)
+
+    def change(self, gone: list[Event], new: Mapping[Event, Source]) -> NDArray[np.intp]:
+        """Take away events, then add new ones; return the rows of which the scores change."""
+        if (len(self._effects) + len(gone) + len(new)) * _ROWS_OF_A_CHANGE > len(self.of_state):
+            self.are_known = False
+            return np.zeros(0, dtype=np.intp)
+        sources = [*(self.known[which].source for which in gone), *new.values()]
+        own = [*(self._of_gone(which) for which in gone), *(self._of_new(source)[:2] for source in new.values())]
+        alone = self._along.effects(sources, *zip(*own, strict=True))
+        touched = np.zeros(len(self.of_state), dtype=bool)
+        for place, (which, source) in enumerate(zip([*gone, *new], sources, strict=True)):
+            effect = alone[place]
+            for other, weight in self._effects:  # what it does with those that came before it
+                covariance = other.of(source)
+                if covariance is not None:
+                    effect = effect.less(other, weight @ covariance.T)
+            if place < len(gone):
+                score, weight = self._of_gone(which)
+                del self.known[which]
+                self._apply(effect, score, weight)
+            else:
+                score, weight, left = self._of_new(source)
+                self._apply(effect, score, weight)
+                self.known[which] = Known(source, left @ score, left)
+            if not self.are_known:
+                break
+            self._effects.append((effect, weight))
+            touched[effect.rows] = True
+        return np.flatnonzero(touched)
+
+    def _apply(self, effect: Effect, score: Array, weight: Array) -> None:
+        rows, G, g = effect.rows, effect.of_state, effect.of_sample
+        weighted = G @ weight
+        self.of_state[rows] -= weighted @ score
+        self.of_state_variance[rows] -= weighted @ np.swapaxes(G, 1, 2)
+        weighted = g @ weight
+        self.of_sample[rows] -= weighted @ score
+        self.of_sample_variance[rows] -= (weighted * g).sum(axis=2)
+        for which, one in self.known.items():
+            covariance = effect.of(one.source)
+            if covariance is not None:
+                changed = one.changed(covariance, weight, score)
+                least = _LEAST_LEFT * float(np.linalg.eigvalsh(one.left)[0])
+                self.are_known = self.are_known and float(np.linalg.eigvalsh(changed.left)[0]) > least
+                self.known[which] = changed
+
+    def _of_gone(self, which: Event) -> tuple[Array, Array]:
+        """Return s_U and W of an event that is taken away."""
+        known = self.known[which]
+        return known.score, -np.asarray(np.linalg.inv(known.left))
+
+    def _of_new(self, source: Source) -> tuple[Array, Array, Array]:
+        """Return s_U and W of an event that is added, and I − M with it, which is the same as W."""
+        score, M = self._of(source)
+        weight = np.asarray(np.linalg.inv(np.eye(len(M)) + M))
+        return score, weight, weight
+
+    def _of(self, source: Source) -> tuple[Array, Array]:
+        """Return the score (c,) of an event and its variance (c,c)."""
+        k, J = source.k, source.columns
+        if source.output is None:
+            return J.T @ self.of_state[k], J.T @ self.of_state_variance[k] @ J
+        u, D = self.of_sample[k, source.output], self.of_sample_variance[k, source.output]
+        return J[0] * u, J.T @ J * D

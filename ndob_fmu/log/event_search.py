@@ -1,0 +1,179 @@
+"""The jumps and outliers that explain a record, found by the scores of the smoother.
+
+With the score l = Jᵀλ of a jump and its variance M = JᵀΛJ, it explains
+
+    ½ (lᵀ (I + M)⁻¹ l − log det (I + M))
+
+more of the record's log-likelihood, less what an event at this instant costs. For an outlier l and M are numbers.
+
+Each round takes the best event of each stretch, and gives up those that are not needed any more. What that does to the
+scores around them is known without another pass over the record (`event_effects`). The last scores are those of a pass.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ndob_fmu.log.event_effects import Source
+from ndob_fmu.log.event_scores import Event, EventScores, Known
+from ndob_fmu.log.events import (
+    AT_SAMPLE_COSTS,
+    IN_STEP_COSTS,
+    OUTLIER,
+    OUTLIER_COSTS,
+    Events,
+    Explained,
+    Filtered,
+    Jumps,
+    with_events,
+)
+from ndob_fmu.runtime.arrays import Array
+
+_MOST_PASSES, _MOST_ROUNDS = 40, 40
+# An event shows in the samples around it, too. Within so many spacings of a new one there is no other in the same
+# round.
+_REACH = 10
+# One that was given up may come back, so many times: where events take turns, the search ends.
+_MOST_RETURNS = 1
+
+
+def explained(record: Filtered, columns: Jumps, spacing: int, first: int, known: Events | None = None) -> Explained:
+    """Return a record with the events that explain it.
+
+    columns: J of jumps
+    spacing: instants within which there is one new event
+    first: instants of the start, which have no jump
+    known: events to begin with
+    """
+    found, taken = with_events(record, columns, known or Events()), Counter[Event]()
+    for _ in range(_MOST_PASSES):
+        search = Search(found, columns, spacing, first, taken)
+        search.run()
+        if search.events == found.events:
+            break
+        found = with_events(record, columns, search.events)
+    return found
+
+
+class Search:
+    """The search from one pass over the record on.
+
+    taken: how often each event was taken, which it counts
+    events, scores: as they are by now
+    """
+
+    def __init__(self, found: Explained, columns: Jumps, spacing: int, first: int, taken: Counter[Event]) -> None:
+        self.events = found.events
+        self._columns, self._spacing, self._first, self._taken = columns, spacing, first, taken
+        self._more = found.record.variance * (OUTLIER**2 - 1.0)
+        self.scores = EventScores(found, self._sources(found.events))
+        K, p = self._more.shape
+        self._at_sample, self._in_step, self._outliers = np.empty(K), np.empty(K), np.empty((K, p))
+        self._judge(np.arange(K))
+
+    def run(self) -> None:
+        """Change the events until they explain the record, or its scores are not known well enough any more."""
+        for _ in range(_MOST_ROUNDS):
+            better = self._better()
+            if better == self.events:
+                break
+            self.change(better)
+            if not self.scores.are_known:
+                break
+
+    def change(self, better: Events) -> None:
+        """Take these events in place of those that were there."""
+        old, new = self._sources(self.events), self._sources(better)
+        added = {which: source for which, source in new.items() if which not in old}
+        self._taken.update([*added])
+        self.events = better
+        touched = self.scores.change([which for which in old if which not in new], added)
+        if self.scores.are_known:
+            self._judge(touched)
+
+    @property
+    def gained(self) -> tuple[Array, Array, Array]:
+        """What jumps at samples, jumps in steps (K,) and outliers (K,p) explain, less what they cost."""
+        return self._at_sample, self._in_step, self._outliers
+
+    def _sources(self, events: Events) -> dict[Event, Source]:
+        jumps: dict[Event, Source] = {
+            (k, None): Source(k, self._columns.of(k, in_step)) for k, in_step in sorted(events.jumps.items())
+        }
+        return jumps | {
+            (k, i): Source(k, np.full((1, 1), self._more[k, i] ** 0.5), i) for k, i in sorted(events.outliers)
+        }
+
+    def _judge(self, rows: NDArray[np.intp]) -> None:
+        """Find what events at some rows explain, less what they cost."""
+        self._at_sample[rows] = self._gained_by_jumps(rows, self._columns.at_sample) - AT_SAMPLE_COSTS
+        self._in_step[rows] = self._gained_by_jumps(rows, self._columns.in_step) - IN_STEP_COSTS
+        self._outliers[rows] = self._gained_by_outliers(rows) - OUTLIER_COSTS
+
+    def _better(self) -> Events:
+        """Return the events without those that explain less than they cost, and with the best new ones."""
+        events, spacing, (at_sample, in_step, outliers_gained) = self.events, self._spacing, self.gained
+        of_jumps, of_outliers = np.maximum(at_sample, in_step), outliers_gained.copy()
+        of_jumps[: self._first] = -np.inf
+        jumps = {k: kind for k, kind in events.jumps.items() if of_jumps[k] > 0.0}
+        outliers = {(k, i) for k, i in events.outliers if of_outliers[k, i] > 0.0}
+        for (k, i), count in self._taken.items():
+            if count > _MOST_RETURNS:
+                if i is None:
+                    of_jumps[k] = -np.inf
+                else:
+                    of_outliers[k, i] = -np.inf
+        # Where an outlier is known, there may be a jump in its place.
+        taken = np.zeros(len(of_jumps), dtype=bool)
+        for k in events.jumps:
+            taken[max(k - spacing, 0) : k + spacing + 1] = True
+        for k, i in events.outliers:
+            of_outliers[k, i] = -np.inf
+        best_outlier = of_outliers.max(axis=1)
+        gained = np.maximum(of_jumps, best_outlier)
+        candidates = np.flatnonzero((gained > 0.0) & ~taken)
+        for k in candidates[np.argsort(-gained[candidates], kind="stable")].tolist():
+            if taken[k]:
+                continue
+            taken[max(k - _REACH * spacing, 0) : k + _REACH * spacing + 1] = True
+            if of_jumps[k] >= best_outlier[k]:
+                jumps[k] = bool(in_step[k] > at_sample[k])
+            else:
+                outliers.add((k, int(np.argmax(of_outliers[k]))))
+        return Events(jumps, frozenset(outliers))
+
+    def _gained_by_jumps(self, rows: NDArray[np.intp], columns: Array) -> Array:
+        """Return what a jump with columns (K,N,c) explains at rows, of those that are known, what they do."""
+        scores, variances, columns = self.scores.of_state[rows], self.scores.of_state_variance[rows], columns[rows]
+        score = np.einsum("knc,kn->kc", columns, scores)
+        variance = np.swapaxes(columns, 1, 2) @ variances @ columns
+        for place, known in self._known_at(rows, jumps=True):  # as without the one that is there
+            across = columns[place].T @ variances[place] @ known.source.columns
+            without = np.linalg.solve(known.left, np.column_stack([across.T, known.score]))
+            score[place] += across @ without[:, -1]
+            variance[place] += across @ without[:, :-1]
+        whole = np.eye(columns.shape[2]) + variance
+        told = np.linalg.solve(whole, score[:, :, None])[:, :, 0]
+        return np.asarray(0.5 * (np.einsum("kc,kc->k", score, told) - np.linalg.slogdet(whole)[1]))
+
+    def _gained_by_outliers(self, rows: NDArray[np.intp]) -> Array:
+        """Return what an outlier in each sample explains at rows (·,p)."""
+        size = np.sqrt(self._more[rows])
+        score, variance = size * self.scores.of_sample[rows], size**2 * self.scores.of_sample_variance[rows]
+        for place, known in self._known_at(rows, jumps=False):
+            without = 1.0 / float(known.left[0, 0])
+            at = (place, known.source.output)
+            score[at], variance[at] = without * known.score[0], without - 1.0
+        return np.asarray(0.5 * (score**2 / (1.0 + variance) - np.log1p(variance)))
+
+    def _known_at(self, rows: NDArray[np.intp], *, jumps: bool) -> Iterator[tuple[int, Known]]:
+        """Yield the jumps, or the outliers, that are known at rows, and their places there."""
+        some = [one for one in self.scores.known.values() if (one.source.output is None) is jumps]
+        places = np.searchsorted(rows, [one.source.k for one in some])
+        for place, one in zip(places.tolist(), some, strict=True):
+            if place < len(rows) and rows[place] == one.source.k:
+                yield place, one

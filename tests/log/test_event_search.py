@@ -1,0 +1,63 @@
+"""What an event does to the scores of a record, against another pass over it; and the search that rests on that."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ndob_fmu.log import event_effects, event_scores, event_search
+from ndob_fmu.log.event_search import Search, explained
+from ndob_fmu.log.events import Events, Jumps, with_events
+from ndob_fmu.log.whole_record import WholeRecord
+from tests.log.test_smoother import double_integrator, random_record
+
+NONE = Events()
+MANY = Events({7: False, 9: True, 30: False}, frozenset({(6, 1), (9, 0), (9, 2), (31, 2)}))
+OTHER = Events({9: True, 12: True, 30: False}, frozenset({(9, 0), (9, 1), (0, 1), (39, 2)}))
+
+
+def calm_record():
+    """A random record of 40 instants, 4 states and 3 outputs that a filter forgets, with columns of jumps."""
+    record, random = random_record(4, 3, 40, seed=4), np.random.default_rng(2)
+    jumps = Jumps(random.standard_normal((40, 4, 2)), random.standard_normal((40, 4, 3)))
+    return WholeRecord(record), jumps
+
+
+@pytest.mark.parametrize(("before", "after"), [(NONE, MANY), (MANY, NONE), (MANY, OTHER)])
+def test_scores_with_other_events_are_those_of_another_pass(monkeypatch, before, after):
+    monkeypatch.setattr(event_effects, "_FORGOTTEN", 0.0)
+    monkeypatch.setattr(event_scores, "_ROWS_OF_A_CHANGE", 0)
+    record, columns = calm_record()
+    search = Search(with_events(record, columns, before), columns, 1, 0, Counter())
+    search.change(after)
+    for name, expected in vars(with_events(record, columns, after).adjoint).items():
+        found = getattr(search.scores, name)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max(), err_msg=name)
+
+
+def test_what_events_explain_without_another_pass_is_what_they_do_after_one():
+    """Of each event that is there, and of any other one; among them events that explain nearly all of their samples."""
+    d = np.where(np.arange(600) < 250, 0.2, 1.5)
+    record, columns = double_integrator(600, d, seed=2, bad={100: 3.0, 240: 0.1}.items())
+    after = Events({250: False, 300: True}, frozenset({(100, 0), (240, 0)}))
+    known = Events({200: False, 250: False}, frozenset({(99, 0)}))
+    search = Search(with_events(record, columns, known), columns, 20, 9, Counter())
+    search.change(after)
+    other = Search(with_events(record, columns, after), columns, 20, 9, Counter())
+    for mine, theirs in zip(search.gained, other.gained, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("times", [10.0, 100.0])
+def test_events_that_take_turns_end_the_search(monkeypatch, times):
+    """With a noise that is told far too small, each event makes another one likely."""
+    monkeypatch.setattr(event_search, "_MOST_PASSES", 200)
+    monkeypatch.setattr(event_search, "_MOST_ROUNDS", 200)
+    d, changes = np.where(np.arange(600) % 200 < 100, 0.2, 1.2), []
+    record, columns = double_integrator(600, d, seed=3)
+    told = replace(record.whole, variance=record.whole.variance / times**2)
+    change = Search.change
+    monkeypatch.setattr(Search, "change", lambda self, better: changes.append(better) or change(self, better))
+    explained(WholeRecord(told), columns, 5, 9)
+    assert len(changes) < 200
