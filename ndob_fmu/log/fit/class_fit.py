@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
 
 import numpy as np
 
@@ -47,32 +49,43 @@ ParameterStep = Callable[[Problem, Array, Array, NoiseFit], tuple[Array, Array]]
 class ClassFit:
     """What was found.
 
+    about: all rows, linear about nearly the same trajectory
     noise: the noise of the samples, the pace and the events of the rows that were fitted
     parameters (n_θ,), covariance (n_θ,n_θ): θ
     trajectory (K,N): smoothed ξ of all rows
-    held_out: log-likelihood of the held-out samples, less the costs of events
-    held_samples: how many there are
-    raised (q2,): the factor on the intensity with which the error bars hold
     """
 
-    problem: Problem
+    about: Linearised
     noise: NoiseFit
     parameters: Array
     covariance: Array
     trajectory: Array
-    held_out: float
-    held_samples: int
-    raised: Array
+
+    @property
+    def problem(self) -> Problem:
+        """What it was fitted to."""
+        return self.about.problem
 
     @property
     def order(self) -> int:
         """Of the disturbance."""
         return self.problem.layout.order
 
+    @cached_property
+    def held_out(self) -> tuple[float, int]:
+        """The log-likelihood of the held-out samples, less the costs of their events, and how many there are."""
+        return _held_out(self.about, self.noise)
+
+    @cached_property
+    def raised(self) -> Array:
+        """The factor on the intensity (q2,) with which the error bars hold."""
+        return _raised(self.about, self.noise)
+
     @property
     def judged(self) -> float:
         """The log-likelihood of what was held out, or of all where nothing was."""
-        return self.held_out if self.held_samples else self.noise.value
+        value, samples = self.held_out
+        return value if samples else self.noise.value
 
     @property
     def disturbance(self) -> Array:
@@ -103,12 +116,19 @@ class ClassFit:
 
 
 def fit_class(
-    problem: Problem, trajectory: Array, step_of: ParameterStep, *, start: ClassFit | None = None, climbs: bool = True
+    problem: Problem,
+    trajectory: Array,
+    step_of: ParameterStep,
+    *,
+    start: ClassFit | None = None,
+    climbs: bool = True,
+    most_rms: float = inf,
 ) -> ClassFit:
     """Fit a class, from an estimate ξ (K,N) of all rows.
 
     step_of: the step of the parameters; climbs: whether it leads to a larger likelihood
-    start: a fit of the same rows and order, with whose noise and events to begin
+    start: a fit of the same order, with whose noise and events to begin
+    most_rms: of the smoothed disturbances; where it is larger, the fit ends early
 
     Raises IntegrationError where the equations cannot be followed.
     """
@@ -130,18 +150,10 @@ def fit_class(
             step = np.clip(wanted, -_LONGEST_STEP * prior, _LONGEST_STEP * prior)
         if before is not None and _same(before, noise, step, np.sqrt(np.diag(covariance))):
             break
+        if _rms(problem, trajectory) > most_rms:
+            break
         theta, before = theta + step, noise
-    held_out, samples = _held_out(about, noise)
-    return ClassFit(
-        problem=problem,
-        noise=noise,
-        parameters=at_best,
-        covariance=covariance,
-        trajectory=trajectory,
-        held_out=held_out,
-        held_samples=samples,
-        raised=_raised(about, noise),
-    )
+    return ClassFit(about=about, noise=noise, parameters=at_best, covariance=covariance, trajectory=trajectory)
 
 
 def _explained(known: Linearised, noise: NoiseFit) -> Explained:

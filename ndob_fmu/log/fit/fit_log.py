@@ -30,8 +30,9 @@ _ORDERS = (1, 2)
 _BEYOND, _FAR_BEYOND = 1.2, 2.0
 # A parameter whose standard deviation the log does not lower by this factor is not told by it.
 _NOT_TOLD = 0.5
-# Fitted parameters that leave a disturbance larger by this factor stand for something else that the model lacks.
-_LARGER = 1.2
+# Fitted parameters that leave a disturbance larger by this factor stand for something else that the model lacks. Where
+# it is so much larger on the way there, it will not fall again.
+_LARGER, _FAR_LARGER = 1.2, 2.0
 # A gain of the held-out log-likelihood that is worth another order.
 _SURE = 2.0
 # A jump that is too small to be noticed at once must be followed, too: the part of the mean rate of all jumps.
@@ -152,6 +153,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     pace, pace_std = best.pace
     pace, pace_std = pace * best.raised, pace_std * best.raised
     rates = _rates(setup, best, found, pace, run)
+    judged = {order: fit.held_out for order, fit in fits.items()}
     return Fitted(
         build=run.build,
         rows=best.problem.trained,
@@ -167,9 +169,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         },
         parameters=parameters,
         maps=maps.maps,
-        held_out_values={
-            order: fit.held_out / fit.held_samples if fit.held_samples else None for order, fit in fits.items()
-        },
+        held_out_values={order: value / samples if samples else None for order, (value, samples) in judged.items()},
         warnings=tuple(warnings),
         start_values={**found, **setup.named("disturbance_rate", rates)},
     )
@@ -191,12 +191,13 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
         begin(f"fitting, part 4 of 5: {', '.join(setup.free)}")
         problem = setup.problem(run, known.order)
         if not lacks_more:
-            fit = fit_class(problem, known.trajectory, most_likely, start=known)
+            most_rms = _FAR_LARGER * known.disturbance_rms
+            fit = fit_class(problem, known.trajectory, most_likely, start=known, most_rms=most_rms)
             told = _told(fit)
             lacks_more = any(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms
             if lacks_more:
                 warnings.append(
-                    f"{', '.join(setup.free)}: the most likely values leave a disturbance of {fit.disturbance_rms:.3g} "
+                    f"{', '.join(setup.free)}: more likely values leave a disturbance of {fit.disturbance_rms:.3g} "
                     f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
                     "leave least are taken"
                 )

@@ -25,7 +25,9 @@ UNKNOWN = 40.0
 _MOVED = 1e-4
 # Steps to the most likely ones, at most, of at most so much in a logarithm. One that gains less is not worth another,
 # and a likelihood that is less than before by as much shows a step that was too long.
-_MOST_STEPS, _LONGEST, _GAIN = 40, 2.0, 0.02
+_MOST_STEPS, _LONGEST, _GAIN = 40, 3.0, 0.02
+# A curvature that was seen along a step counts down to this part of the expected one.
+_FLAT = 0.1
 # A gain of the log-likelihood that chance does not explain.
 _SURE = 10.0
 
@@ -123,19 +125,38 @@ def _scaled(record: CutRecord, layout: Layout, at: Array) -> CutRecord:
 def _most_likely(
     record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array
 ) -> tuple[Array, Likelihood]:
-    """Return the most likely logarithms (p + q2,), by steps of Fisher's scoring, and the likelihood about there."""
+    """Return the most likely logarithms (p + q2,), by steps of Fisher's scoring, and the likelihood about there.
+
+    Scoring takes the information that a right model has. That a step found counts in the next one, as in BFGS.
+    """
     told = _told(record, layout, columns, events, at)
+    precision = _precision(told.information)
     for _ in range(_MOST_STEPS):
-        step = np.clip(np.linalg.solve(_precision(told.information), told.slopes), -_LONGEST, _LONGEST)
-        step = np.clip(at + step, -UNKNOWN, UNKNOWN) - at
-        if told.slopes @ step < _GAIN:
+        scored = np.asarray(np.linalg.solve(precision, told.slopes))
+        step = np.clip(at + _in_logarithms(scored), -UNKNOWN, UNKNOWN) - at
+        if min(told.slopes @ scored, np.abs(told.slopes) @ np.abs(step)) < _GAIN:
             return at + step, told
         further = _told(record, layout, columns, events, at + step)
         while further.value < told.value - _GAIN:
             step = 0.5 * step
             further = _told(record, layout, columns, events, at + step)
+        precision = _as_seen(_precision(further.information), step, told.slopes - further.slopes)
         at, told = at + step, further
     return at, told
+
+
+def _in_logarithms(step: Array) -> Array:
+    """Return a step of logarithms that was scored as one of variances, whose likelihood is nearer to a parabola."""
+    return np.asarray(np.log1p(np.clip(step, np.expm1(-_LONGEST), np.expm1(_LONGEST))))
+
+
+def _as_seen(precision: Array, step: Array, fall: Array) -> Array:
+    """Return a precision (m,m) that explains by how much the slopes (m,) fell in a step (m,)."""
+    expected = precision @ step
+    along, seen = float(expected @ step), float(fall @ step)
+    if seen < _FLAT * along:
+        return precision
+    return np.asarray(precision - np.outer(expected, expected) / along + np.outer(fall, fall) / seen)
 
 
 def _precision(information: Array) -> Array:
