@@ -83,10 +83,9 @@ def record_along(
     in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
     jumps = steps.jumps * np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None, None] * model.bound
     in_step[1:] = jumps.transpose(0, 2, 1, 3).reshape(K - 1, N, -1)
-    noise = steps.noise * sizes[:, :, None, None]
     record = LinearRecord(
         Phi=steps.Phi,
-        noise=noise.transpose(0, 2, 1, 3).reshape(K - 1, N, -1),
+        noise=np.multiply(steps.noise, sizes[:, None, :, None], out=steps.noise).reshape(K - 1, N, -1),
         shift=steps.end - trajectory[1:],
         rows=rows.output_slopes(trajectory, before),
         misfit=samples.outputs - rows.output(trajectory, before),

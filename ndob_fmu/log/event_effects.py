@@ -22,8 +22,9 @@ from ndob_fmu.log.closed_loop import closed_loop
 from ndob_fmu.log.events import Explained
 from ndob_fmu.runtime.arrays import Array
 
-# Rows that are taken at once, and the part of a variance that an event changes where it is forgotten.
-_ROWS = 64
+# Rows that are taken at once, and the part of a variance that an event changes where it is forgotten. What a filter
+# forgets in no time, it also hardly knows; there the next pass tells the rest.
+_ROWS, _MOST_ROWS = 64, 2048
 _FORGOTTEN = 1e-12
 
 
@@ -131,7 +132,7 @@ class AlongRecord:
         x (E,N,c): the columns behind the first step forwards, G of the event's own row backwards
         """
         parts, reach = [], np.zeros(len(k), dtype=int)
-        for done in range(0, len(self._record.rows), _ROWS):
+        for done in range(0, min(len(self._record.rows), _MOST_ROWS), _ROWS):
             rows = k[:, None] + way * np.arange(done + 1, done + _ROWS + 1)
             at, there = self._at(np.clip(rows, 0, len(self._record.rows) - 1)), (rows >= 0)[..., None, None]
             states = np.empty((*rows.shape, *x.shape[1:]))

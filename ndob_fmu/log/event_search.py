@@ -31,6 +31,7 @@ from ndob_fmu.log.events import (
     Jumps,
     with_events,
 )
+from ndob_fmu.log.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_PASSES, _MOST_ROUNDS = 40, 40
@@ -110,9 +111,10 @@ class Search:
 
     def _judge(self, rows: NDArray[np.intp]) -> None:
         """Find what events at some rows explain, less what they cost."""
-        self._at_sample[rows] = self._gained_by_jumps(rows, self._columns.at_sample) - AT_SAMPLE_COSTS
-        self._in_step[rows] = self._gained_by_jumps(rows, self._columns.in_step) - IN_STEP_COSTS
-        self._outliers[rows] = self._gained_by_outliers(rows) - OUTLIER_COSTS
+        for some in np.array_split(rows, len(rows) // NEAR + 1):
+            self._at_sample[some] = self._gained_by_jumps(some, self._columns.at_sample) - AT_SAMPLE_COSTS
+            self._in_step[some] = self._gained_by_jumps(some, self._columns.in_step) - IN_STEP_COSTS
+            self._outliers[some] = self._gained_by_outliers(some) - OUTLIER_COSTS
 
     def _better(self) -> Events:
         """Return the events without those that explain less than they cost, and with the best new ones."""

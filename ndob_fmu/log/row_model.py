@@ -37,7 +37,7 @@ class RowSteps:
 
     end (K,N): ξ at the end
     Phi (K,N,N): Φ of the step
-    noise (K,c,N,N): for each column of a channel, a factor of the covariance that white noise through it adds
+    noise (K,N,c,N): for each column of a channel, a factor of the covariance that white noise through it adds
     jumps (K,3,N,q2): responses at the end to jumps of d at three nodes within the step
     """
 
@@ -98,19 +98,19 @@ class RowModel:
         K, N, c, q = len(xi), *channel.shape, self.model.layout.q
         parts = np.minimum(2 ** np.ceil(np.log2(np.maximum(size / _SHORT, 1.0))), _MOST_PARTS).astype(int)
         found = RowSteps(
-            np.empty((K, N)), np.empty((K, N, N)), np.empty((K, c, N, N)), np.empty((K, len(_AFTER), N, q))
+            np.empty((K, N)), np.empty((K, N, N)), np.empty((K, N, c, N)), np.empty((K, len(_AFTER), N, q))
         )
         for count, rows in _groups(parts):
             stiff = bool(np.max(size[rows]) > count * _SHORT)
             part = self._steps_in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, stiff=stiff)
             found.end[rows], found.Phi[rows] = part.end, part.Phi
-            found.noise[rows], found.jumps[rows] = part.noise, part.jumps
+            found.noise[rows], found.jumps[rows] = np.swapaxes(part.noise, 1, 2), part.jumps
         return found
 
     def _steps_in_parts(
         self, xi: Array, u: Array, H: Array, F: Array, channel: Array, units: Array, parts: int, *, stiff: bool
     ) -> RowSteps:
-        """Return steps in so many parts; F (K,N,N) is that of their start."""
+        """Return steps in so many parts, with noise (K,c,N,N); F (K,N,N) is that of their start."""
         K, N, c = len(xi), *channel.shape
         h, first, jump = H / parts, F, self.model.jump_channel
         Phi, noise = np.broadcast_to(np.eye(N), (K, N, N)), np.zeros((K, c, N, 0))

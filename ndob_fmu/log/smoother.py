@@ -15,15 +15,19 @@ are likely (`events`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.log.closed_loop import ClosedLoop, closed_loop
 from ndob_fmu.runtime.arrays import Array
+
+# Rows that the processor keeps near itself.
+NEAR = 1000
 
 
 @dataclass(frozen=True)
@@ -148,37 +152,54 @@ def forward(record: LinearRecord, jumps: Mapping[int, Array] | None = None) -> F
     return found
 
 
-def closed_loop_along(record: LinearRecord, found: Forward) -> ClosedLoop:
-    """Return the closed loop at each row of a filtered record; there is no step from the last one."""
-    last = np.broadcast_to(np.eye(record.rows.shape[-1]), (1, *found.factor.shape[1:]))
-    Phi = np.concatenate([record.Phi, last])
-    return closed_loop(Phi, record.rows, found.gain, found.innovation, found.alpha)
-
-
 def backward(record: LinearRecord, found: Forward, after: tuple[Array, Array] | None = None) -> Adjoint:
     """Return the adjoint of a filtered record.
 
     after: λ (…,N) and Λ (…,N,N) behind its last samples, where the record goes on
     """
-    return adjoint_of(closed_loop_along(record, found), after)
+    adjoint = Adjoint(*(np.empty((*found.xi.shape[:-1], *one)) for one in _adjoint_shapes(record)))
+    score, variance = after or (np.zeros(1), np.zeros((1, 1)))
+    for rows, loop in closed_loops(record, found):
+        scores, variances = np.empty_like(loop.of_state), np.empty_like(loop.of_state_variance)
+        for k in range(len(scores) - 1, -1, -1):
+            scores[k], variances[k] = score, variance
+            score, variance = loop.before(k, scores[k], variances[k])
+            adjoint.of_state[rows][k], adjoint.of_state_variance[rows][k] = score, variance
+        own = np.diagonal(loop.of_samples_variance, axis1=-2, axis2=-1)
+        adjoint.of_sample[rows] = loop.of_sample + np.matmul(scores[..., None, :], loop.later)[..., 0, :]
+        adjoint.of_sample_variance[rows] = own + (loop.later * np.matmul(variances, loop.later)).sum(axis=-2)
+    return adjoint
 
 
-def adjoint_of(loop: ClosedLoop, after: tuple[Array, Array] | None = None) -> Adjoint:
-    """Return the adjoint of a closed loop at each row (K,…); `after` as in `backward`."""
-    K = len(loop.Psi)
-    of_state, of_variance = (np.empty((K + 1, *one.shape[1:])) for one in (loop.of_state, loop.of_state_variance))
-    of_state[K], of_variance[K] = after or (0.0, 0.0)
-    back = np.swapaxes(loop.Psi, -1, -2)
-    for k in range(K - 1, -1, -1):
-        of_state[k] = np.matmul(back[k], of_state[k + 1, ..., None])[..., 0] + loop.of_state[k]
-        of_variance[k] = np.matmul(np.matmul(back[k], of_variance[k + 1]), loop.Psi[k]) + loop.of_state_variance[k]
-    of_later = np.matmul(of_variance[1:], loop.later)
-    return Adjoint(
-        of_state[:-1],
-        of_variance[:-1],
-        loop.of_sample + np.matmul(of_state[1:, ..., None, :], loop.later)[..., 0, :],
-        np.diagonal(loop.of_samples_variance, axis1=-2, axis2=-1) + (loop.later * of_later).sum(axis=-2),
-    )
+def through(record: LinearRecord, found: Forward) -> tuple[Array, Array, Array]:
+    """Return of a filtered record its closed loop (…,N,N) from the first row behind the last, and λ and Λ before it."""
+    last = record.rows.shape[-1]
+    closed, score, variance = np.eye(last), np.zeros(last), np.zeros((last, last))
+    for _, loop in closed_loops(record, found):
+        for k in range(len(loop.Psi) - 1, -1, -1):
+            closed = np.matmul(closed, loop.Psi[k])
+            score, variance = loop.before(k, score, variance)
+    return closed, score, variance
+
+
+def closed_loops(record: LinearRecord, found: Forward) -> Iterator[tuple[slice, ClosedLoop]]:
+    """Yield the closed loop of a filtered record, some rows at once, from the last ones on.
+
+    There is no step from the last one.
+    """
+    K, several, N = len(record.rows), record.rows.shape[1:-2], record.rows.shape[-1]
+    near = max(1, NEAR // max(1, prod(several)))
+    for stop in range(K, 0, -near):
+        rows = slice(max(stop - near, 0), stop)
+        Phi = record.Phi[rows]
+        if stop == K:
+            Phi = np.concatenate([Phi, np.broadcast_to(np.eye(N), (1, *several, N, N))])
+        yield rows, closed_loop(Phi, record.rows[rows], found.gain[rows], found.innovation[rows], found.alpha[rows])
+
+
+def _adjoint_shapes(record: LinearRecord) -> tuple[tuple[int, ...], ...]:
+    p, N = record.rows.shape[-2:]
+    return (N,), (N, N), (p,), (p,)
 
 
 def smoothed(found: Forward, adjoint: Adjoint) -> Smoothed:

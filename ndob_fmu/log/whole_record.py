@@ -18,8 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.closed_loop import ClosedLoop
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, adjoint_of, closed_loop_along, forward, lower_factor
+from ndob_fmu.log.smoother import NEAR, Adjoint, Forward, LinearRecord, backward, forward, lower_factor, through
 from ndob_fmu.runtime.arrays import Array
 
 # A piece costs as much as so many steps of all.
@@ -49,8 +48,7 @@ class WholeRecord:
         if self._count > 1:
             parts = _started(parts, run)
             run = forward(parts, placed)
-        loop = closed_loop_along(parts, run)
-        adjoint = adjoint_of(loop, _after(loop))
+        adjoint = backward(parts, run, _after(parts, run))
         return (
             Forward(*map(self._joined, (run.xi, run.factor, run.gain, run.innovation, run.alpha))),
             Adjoint(*map(self._joined, vars(adjoint).values())),
@@ -80,7 +78,9 @@ class WholeRecord:
         misfit = record.misfit[self._numbers]
         misfit[numbers >= K] = np.nan
         misfit[-1] = np.nan
-        noise = record.noise if record.noise.shape[2] <= N else lower_factor(record.noise)
+        noise = record.noise
+        if noise.shape[2] > N:
+            noise = np.concatenate([lower_factor(noise[first : first + NEAR]) for first in range(0, K, NEAR)])
         start, factor = np.zeros((self._count, N)), np.zeros((self._count, N, N))
         start[0], factor[0] = record.start, record.start_factor
         return LinearRecord(
@@ -115,32 +115,23 @@ class WholeRecord:
 
 def _started(parts: LinearRecord, run: Forward) -> LinearRecord:
     """Return pieces with the starts that follow from what those do that start with ξ = 0 for sure."""
-    loop = closed_loop_along(parts, run)
-    through, adjoint = _through(loop), adjoint_of(loop)
-    b, C, N = adjoint.of_state[0], adjoint.of_state_variance[0], parts.start.shape[1]
+    closed, b, C = through(parts, run)
+    N = parts.start.shape[1]
     start, factor = parts.start.copy(), parts.start_factor.copy()
     start[1], factor[1] = run.xi[-1, 0], run.factor[-1, 0]
     for s in range(1, len(start) - 1):
         x, F = start[s], factor[s]
         T = np.linalg.solve(np.linalg.cholesky(np.eye(N) + F.T @ C[s] @ F), F.T)
-        start[s + 1] = run.xi[-1, s] + through[s] @ (x + T.T @ (T @ (b[s] - C[s] @ x)))
-        factor[s + 1] = lower_factor(np.concatenate([run.factor[-1, s], through[s] @ T.T], axis=1))
+        start[s + 1] = run.xi[-1, s] + closed[s] @ (x + T.T @ (T @ (b[s] - C[s] @ x)))
+        factor[s + 1] = lower_factor(np.concatenate([run.factor[-1, s], closed[s] @ T.T], axis=1))
     return replace(parts, start=start, start_factor=factor)
 
 
-def _after(loop: ClosedLoop) -> tuple[Array, Array]:
+def _after(parts: LinearRecord, run: Forward) -> tuple[Array, Array]:
     """Return λ (S,N) and Λ (S,N,N) behind each piece."""
-    through, alone = _through(loop), adjoint_of(loop)
-    score, variance = np.zeros_like(alone.of_state[0]), np.zeros_like(alone.of_state_variance[0])
+    closed, of_score, of_variance = through(parts, run)
+    score, variance = np.zeros_like(of_score), np.zeros_like(of_variance)
     for s in range(len(score) - 1, 0, -1):
-        score[s - 1] = through[s].T @ score[s] + alone.of_state[0, s]
-        variance[s - 1] = through[s].T @ variance[s] @ through[s] + alone.of_state_variance[0, s]
+        score[s - 1] = closed[s].T @ score[s] + of_score[s]
+        variance[s - 1] = closed[s].T @ variance[s] @ closed[s] + of_variance[s]
     return score, variance
-
-
-def _through(loop: ClosedLoop) -> Array:
-    """Return the closed loop (S,N,N) from the first row of each piece behind its last one."""
-    through = loop.Psi[0]
-    for Psi in loop.Psi[1:]:
-        through = np.matmul(Psi, through)
-    return np.asarray(through)

@@ -46,7 +46,7 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
         scale = np.abs(one.xi).max()
         np.testing.assert_allclose(steps.end[k], one.xi, rtol=0, atol=1e-2 * close * scale)
         np.testing.assert_allclose(steps.Phi[k], one.Phi, rtol=0, atol=close * np.abs(one.Phi).max())
-        covariance = sum(factor @ factor.T for factor in steps.noise[k])
+        covariance = sum(factor @ factor.T for factor in np.swapaxes(steps.noise[k], 0, 1))
         expected = one.columns.factor @ one.columns.factor.T
         std = np.sqrt(np.diag(expected))
         std[std == 0.0] = 1.0

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, closed_loop_along
+from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, closed_loops
 from ndob_fmu.runtime.arrays import Array
 
 
@@ -43,8 +43,10 @@ def lagged_adjoint(record: LinearRecord, found: Forward, rows: int) -> Adjoint:
 
     It has no scores of single samples.
     """
-    loop = closed_loop_along(record, found)
-    one = _Windows(loop.Psi, loop.of_state, loop.of_state_variance)
+    loops = [loop for _, loop in closed_loops(record, found)][::-1]
+    one = _Windows(
+        *(np.concatenate(part) for part in zip(*((p.Psi, p.of_state, p.of_state_variance) for p in loops), strict=True))
+    )
     K, N = one.b.shape
     windows, length = _Windows(np.tile(np.eye(N), (K, 1, 1)), np.zeros((K, N)), np.zeros((K, N, N))), 0
     wanted, power = min(rows + 1, K), 1
