@@ -150,7 +150,7 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
     held = found.held_out_values
     judged = ", ".join(f"order {order} {value:.4f}" for order, value in held.items() if value is not None)
     lines = [
-        f"{found.rows + found.held_out} rows, along which the {found.build} observer ran",
+        f"{found.rows} rows, along which the {found.build} observer ran",
         f"noise_std: {each(found.noise_std)}; {found.outliers} outliers",
         f"the disturbance {kind}{jumps}: disturbance_order {found.order}; log-likelihood of a sample of the "
         + (f"{found.held_out} held-out rows: {judged}" if judged else "rows; none was held out"),

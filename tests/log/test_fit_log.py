@@ -151,11 +151,14 @@ def test_the_command_says_what_it_found_and_how_sure_it_is(tmp_path, capsys, mon
     assert set(found) > {"place_noise_std", "rate_noise_std", "disturbance_order", "disturbance_rate"}
 
 
-def test_nothing_need_be_held_out(tmp_path):
+def test_nothing_need_be_held_out_and_what_was_is_fitted_too_once_the_order_is_chosen(tmp_path):
     made_log(tmp_path / "log.csv", "walk", 4, rows=700)
-    found = fit_log(CART, tmp_path / "log.csv", tmp_path / "out", hold=0.0)
+    found, other = (fit_log(CART, tmp_path / "log.csv", tmp_path / "out", hold=hold) for hold in (0.0, 0.3))
     assert (found.rows, found.held_out, found.held_out_values) == (700, 0, {1: None, 2: None})
-    assert found.order == 1
+    assert (other.rows, other.held_out, other.order) == (700, 210, 1)
+    for name, one in found.noise_std.items():
+        assert other.noise_std[name].value == pytest.approx(one.value, rel=1e-2)
+        assert other.noise_std[name].std == pytest.approx(one.std, rel=1e-2)
 
 
 def test_a_log_with_more_rows_than_are_fitted_is_named(tmp_path, monkeypatch):

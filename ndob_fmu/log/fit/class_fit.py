@@ -13,10 +13,9 @@ from math import inf
 
 import numpy as np
 
-from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained, with_events
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
-from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise
+from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
 from ndob_fmu.log.fit.problem import Linearised, Problem
 from ndob_fmu.log.smoother import smoothed
 from ndob_fmu.log.whole_record import WholeRecord
@@ -77,9 +76,15 @@ class ClassFit:
         return _held_out(self.about, self.noise)
 
     @cached_property
+    def is_jumping(self) -> bool:
+        """Whether jumps explain more than chance."""
+        problem = self.problem
+        return is_jumping(*self.about.pieces(slice(problem.trained)), problem.layout, self.noise)
+
+    @cached_property
     def raised(self) -> Array:
         """The factor on the intensity (q2,) with which the error bars hold."""
-        return _raised(self.about, self.noise)
+        return _raised(self.about, self.noise) if self.is_jumping else np.ones(len(self.noise.log_intensity))
 
     @property
     def judged(self) -> float:
@@ -101,7 +106,7 @@ class ClassFit:
     def jumping_rate(self) -> Array:
         """The rate (q2,) at which disturbances change by their jumps, in the mean; 0 where they do not jump."""
         jumps = sorted(self.noise.events.jumps)
-        if not self.noise.is_jumping:
+        if not self.is_jumping:
             return np.zeros(len(self.noise.log_intensity))
         between = float(self.problem.samples.step[: self.problem.trained - 1].sum()) / len(jumps)
         sizes = _jump_sizes(self.trajectory[:, self.problem.layout.disturbance], jumps)
@@ -157,9 +162,10 @@ def fit_class(
 
 
 def _explained(known: Linearised, noise: NoiseFit) -> Explained:
-    """Return all rows with their events."""
-    search = known.search(slice(None))
-    return explained(_whole(known, noise), search.columns, search.spacing, search.first, noise.events)
+    """Return all rows with their events, which are found in pieces side by side."""
+    pieces, search = known.pieces(slice(None))
+    events = search.within(noise.cut(pieces, known.problem.layout), noise.events)
+    return with_events(_whole(known, noise), known.columns, events)
 
 
 def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
@@ -189,10 +195,7 @@ def _raised(known: Linearised, noise: NoiseFit) -> Array:
     the estimate.
     """
     problem, places = known.problem, known.problem.layout.disturbance
-    factors = np.ones(len(noise.log_intensity))
-    if not noise.is_jumping:
-        return factors
-    needed = np.zeros(len(factors))
+    factors, needed = np.ones(len(noise.log_intensity)), np.zeros(len(noise.log_intensity))
     for turn in range(_MOST_RAISES):
         told = replace(noise, log_intensity=noise.log_intensity + np.log(factors))
         found = with_events(_whole(known, told), known.columns, noise.events)

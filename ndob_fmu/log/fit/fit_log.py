@@ -54,10 +54,10 @@ class Fitted:
     """What was found in a log.
 
     build: of the observer that ran along it, as in `Estimated`
-    rows, held_out: fitted rows, and rows that were held out
+    rows, held_out: how many rows there are, and how many of them were held out until the order was chosen
     order: of the disturbance; with 1 it wanders, with 2 it is smooth
     is_jumping: whether a disturbance that jumps explains the log better than one that does not
-    jumps, outliers: in the fitted rows
+    jumps, outliers: in all rows
     noise_std: of each output
     intensity: of the white noise behind the order-th derivative of each disturbance
     parameters: those that were fitted and that the log tells
@@ -128,7 +128,9 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         fits = _of_each_order(replace(setup, free=()), run)
         best = _best(fits)
         raised |= _raised_bounds(setup, best)
-    setup = setup.with_values(raised)
+    setup, held_out = setup.with_values(raised), run.rows - best.problem.trained
+    if held_out:
+        setup, best = _with_all_rows(setup, run, best)
     if setup.free:
         setup, best = _with_parameters(setup, run, best, warnings)
     warnings += [f"{name} is raised to {value:.3g}, because the log shows more" for name, value in raised.items()]
@@ -156,10 +158,10 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     judged = {order: fit.held_out for order, fit in fits.items()}
     return Fitted(
         build=run.build,
-        rows=best.problem.trained,
-        held_out=run.rows - best.problem.trained,
+        rows=run.rows,
+        held_out=held_out,
         order=best.order,
-        is_jumping=best.noise.is_jumping,
+        is_jumping=best.is_jumping,
         jumps=len(best.noise.events.jumps),
         outliers=len(best.noise.events.outliers),
         noise_std=noise_std,
@@ -182,6 +184,13 @@ def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:
         problem = setup.problem(run, order)
         fits[order] = fit_class(problem, setup.trajectory(run, problem), most_likely)
     return fits
+
+
+def _with_all_rows(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, ClassFit]:
+    """Return the fit of all rows in the class that was chosen, and the setup that holds out none."""
+    setup = replace(setup, hold=0.0)
+    problem = replace(setup, free=()).problem(run, known.order)
+    return setup, fit_class(problem, known.trajectory, most_likely, start=known)
 
 
 def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str]) -> tuple[Setup, ClassFit]:
@@ -244,7 +253,7 @@ def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, 
         lambda rates: tuned(rates).intensity(usual, [1.0] * len(setup.equations.outputs)),
         setup.of_disturbances("disturbance_rate"),
     )
-    if not best.noise.is_jumping:
+    if not best.is_jumping:
         return rates
     lowest, first = _OF_JUMPS * best.jumping_rate, best.problem.rows.model.start_samples
     smoothed = best.disturbance[: _MOST_TRIED - first]

@@ -7,7 +7,6 @@ jumps and outliers are found in turn with noise and pace; each is a part of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf
 
 import numpy as np
 
@@ -40,7 +39,6 @@ class NoiseFit:
     covariance (p + q2,p + q2): of both
     events: jumps and outliers
     value: log-likelihood less the costs of the events
-    value_without: the same without any event
     """
 
     log_variance: Array
@@ -48,17 +46,11 @@ class NoiseFit:
     covariance: Array
     events: Events
     value: float
-    value_without: float
 
     @property
     def logs(self) -> Array:
         """Both logarithms (p + q2,)."""
         return np.concatenate([self.log_variance, self.log_intensity])
-
-    @property
-    def is_jumping(self) -> bool:
-        """Whether jumps explain more than chance."""
-        return bool(self.events.jumps) and self.value > self.value_without + _SURE
 
     def for_intensity(self, old: Array, new: Array) -> NoiseFit:
         """Return the same pace for a record that was made with other intensities (q2,)."""
@@ -90,11 +82,9 @@ def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: Noi
     """Return the noise of each output and the pace of each disturbance; `start`: where to begin."""
     p, q = record.whole.variance.shape[1], layout.q
     at = np.zeros(p + q) if start is None else start.logs
-    events, without = (Events(), inf) if start is None else (start.events, start.value_without)
-    for turn in range(_MOST_TURNS):
+    events = Events() if start is None else start.events
+    for _ in range(_MOST_TURNS):
         at, told = _most_likely(record, layout, search.columns, events, at)
-        if start is None and turn == 0:
-            without = told.value
         found = search.within(_scaled(record, layout, at), events)
         if found == events:
             break
@@ -102,7 +92,16 @@ def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: Noi
     else:
         told = _told(record, layout, search.columns, events, at)
     covariance = np.asarray(np.linalg.inv(_precision(told.information)))
-    return NoiseFit(at[:p], at[p:], covariance, events, told.value - events.costs, without)
+    return NoiseFit(at[:p], at[p:], covariance, events, told.value - events.costs)
+
+
+def is_jumping(record: CutRecord, search: EventSearch, layout: Layout, found: NoiseFit) -> bool:
+    """Return whether the jumps that were found explain more than another pace without them, and more than chance."""
+    if not found.events.jumps:
+        return False
+    others = Events(outliers=found.events.outliers)
+    _, without = _most_likely(record, layout, search.columns, others, found.logs)
+    return found.value > without.value - others.costs + _SURE
 
 
 def moved(record: CutRecord, layout: Layout, columns: Jumps, at: Array) -> tuple[Moved, list[Moved]]:
