@@ -203,13 +203,16 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         )
     )
     tuned = import_module("ndob_fmu.runtime.step.tuned")
-    at_sample, inside = np.exp(bank._LOG_PROBABILITIES)
-    share = 1.0 / (1.0 + np.exp(-faulty._LOG_ODDS))
+    at_sample, inside = bank._SHARES
+    first = faulty._LEAST + faulty._TIMES * faulty.FIRST_RATE
     outliers = " or ".join((", ".join(f"α + {_short(v)} R" for v in faulty._OUTLIERS)).rsplit(", ", 1))
     said = [
         f"|e| > {faulty.SUSPICIOUS} √α",
         f"α replaced by e²/{faulty.SUSPICIOUS}²",
-        f"| outlier | {share:.2f}; as likely",
+        f"λ₀ = {faulty._LEAST:g} + {faulty._TIMES:g} (λ + {faulty._BURST:g} b), at most {faulty._MOST:g}",
+        f"about the last {sensor._OUTLIER_MEMORY:g} samples, {faulty.FIRST_RATE:g} before the first one",
+        f"so that λ₀ begins as {first:g}",
+        f"| repeats the sample before | {faulty._REPEATED:g}; as likely",
         f"normal, variance {outliers}",
         f"at least {_short(faulty._RAREST_REPEAT)}, if it repeats",
         f"the probability e⁻{str(-int(faulty._LOG_ODDS_AT_START)).translate(SUPERSCRIPT)}",
@@ -221,7 +224,9 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"the mean of e²/α over the last ten used samples exceeds {sensor._RULE:g}",
         f"if it was within {sensor._NEAR:g} √α",
         f"Beyond {wrong._LOST**2:g}-fold, P starts again",
-        f"V = {bank._VARIANCE:g} D₀² and p = {at_sample + inside:.3g} a sample",
+        f"V = {bank._VARIANCE:g} D₀². p is the share",
+        f"about the last {bank._RATE_MEMORY:g} samples, {bank.FIRST_RATE:g} before the first one",
+        f"at least {bank._LEAST:.4f} and at most {bank._MOST:g}",
         f"the last {bank.LENGTH} steps: a jump at the sample ({at_sample / (at_sample + inside):.1g})",
         f"weight p (({bank._SURE:g} + Σ e²/α)/({bank._SURE:g} + Σ r²/s))^{{({bank._SURE:g} + n)/2}}",
         f"Student's distribution with {bank._SURE:g} degrees",

@@ -30,9 +30,9 @@ STEPS = 600
 # Of a signal's range: gains come from another linear algebra. Without noise they are at the edge of the numbers.
 EQUAL, EQUAL_WITHOUT_NOISE = 1e-9, 1e-6
 # The weights of jumps follow from residuals over their σ. The last bit of a sample near 1 is 1e-11 of a σ of 1e-5, and
-# each of eleven jumps in the log makes the difference larger. In five draws of the last bits, the estimates of each
-# observer alone move by up to 3.5e-8 of a range. NumPy adds products in another order on each processor, with as much.
-EQUAL_BUT_FOR_LAST_BITS = 5e-8
+# each jump in the log makes the difference larger. In nine draws of the last bits, the estimates of an observer alone
+# move by up to 1.1e-9 of a range. NumPy adds products in another order on each processor, with as much.
+EQUAL_BUT_FOR_LAST_BITS = 5e-9
 CASES = {
     "method 2": (JOINT, {"noise_std": 1e-5}, EQUAL),
     "method 2, without noise": (JOINT, {}, EQUAL_WITHOUT_NOISE),
@@ -125,7 +125,7 @@ def test_a_native_observer_gives_the_estimates_of_the_python_fmu(built, case):
         assert of_range(expected, found, variable) <= bound, variable
 
 
-def test_last_bits_of_the_samples_move_the_estimates_of_order_3_by_more_than_another_linear_algebra_may(built):
+def test_last_bits_of_the_samples_move_the_estimates_of_order_3_about_as_much_as_another_linear_algebra_may(built):
     model, _, plant, native = built(JOINT)
     log, random = samples(model, plant), np.random.default_rng(0)
     runs = []
@@ -134,7 +134,7 @@ def test_last_bits_of_the_samples_move_the_estimates_of_order_3_by_more_than_ano
         for output in model.outputs:
             moved[output] = np.nextafter(log[output], random.choice([-np.inf, np.inf], len(log)))
         runs.append(estimates(native, model, "method 2, order 3, lag", moved))
-    assert max(of_range(runs[0], run, "load_torque_std") for run in runs[1:]) > EQUAL
+    assert max(of_range(runs[0], run, "load_torque_std") for run in runs[1:]) > 0.2 * EQUAL
 
 
 def test_fmi_3_gives_the_bits_of_fmi_2(built):

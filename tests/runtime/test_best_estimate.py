@@ -253,7 +253,7 @@ def knowing(batch, F, instants, V):
 def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
     """One filter and corrections of rank three, against a batch for each hypothesis, which knows when d jumped."""
     case, V = Case(seed=3), 2.0 * BOUND**2
-    state, told, checked = case.observer.init((0.0,) * n), [], 0
+    state, told, expected, checked = case.observer.init((0.0,) * n), [], [], 0
     for k in range(COUNT):
         y = case.sample(k * H, k)
         for batch in (case.batch, *told):
@@ -269,7 +269,8 @@ def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
         columns = state.memory.columns.signatures[: n + ORDER]
         if bank.newest_age == 0.0:
             told += [knowing(plain, case.F, instants, V) for instants in AT_SAMPLE]
-        told = told[-len(bank.log_weight) :]
+            expected += [bank.rate * 0.7, bank.rate * 0.3]
+        told, expected = told[-len(bank.log_weight) :], expected[-len(bank.log_weight) :]
         for batch, hypothesis in zip(reversed(told), reversed(range(len(bank.log_weight))), strict=False):
             shares = np.array([share for _, share in AT_SAMPLE[hypothesis % 2]])
             nodes = len(shares)
@@ -280,7 +281,7 @@ def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
             corrected = plain.estimate()[1] + signatures @ root @ root.T @ signatures.T
             np.testing.assert_allclose(xi + signatures @ size, mean, rtol=0, atol=1e-8 * BOUND)
             np.testing.assert_allclose(corrected, covariance, rtol=0, atol=1e-7 * np.max(covariance))
-            gained = bank.log_weight[hypothesis] - np.log(0.003 * (0.7, 0.3)[hypothesis % 2])
+            gained = bank.log_weight[hypothesis] - np.log(expected[hypothesis - len(bank.log_weight)])
             gained += 0.5 * (bank.misfit[0, hypothesis] - bank.misfit[1, hypothesis])
             assert gained == pytest.approx(batch.log_likelihood() - plain.log_likelihood(), abs=1e-6)
             checked += 1

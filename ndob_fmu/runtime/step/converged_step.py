@@ -157,4 +157,4 @@ def frozen_memory(
             signatures.append(mu)
         mu = stationary.discrete.Phi @ (mu - stationary.K @ (stationary.system.C @ mu))
     columns = joined(stationary.prior_factor, np.hstack(signatures[::-1]), memory.columns.covariance)
-    return replace(memory, columns=columns, jumps=full_bank(model.bound))
+    return replace(memory, columns=columns, jumps=full_bank(model.bound, memory.jumps.rate))

@@ -1,9 +1,9 @@
 """Which samples are refused: each is explained as good, as an outlier or as one that repeats an earlier sample.
 
-Good samples have the innovation e with the variance α. Outliers have 100, 10 000 or 1e6 times the noise. A faulty
-sample that repeats the value before it predicts that value exactly; good samples repeat a value as often as they did
-until now. The explanation of higher probability decides. Hypotheses of a jump (`jump_bank`) judge a refused
-sample for themselves.
+Good samples have the innovation e with the variance α. Outliers have 100, 10 000 or 1e6 times the noise, and are as
+frequent as they were until now. A faulty sample that repeats the value before it predicts that value exactly; good
+samples repeat a value as often as they did until now. The explanation of higher probability decides. Hypotheses of a
+jump (`jump_bank`) judge a refused sample for themselves.
 """
 
 from __future__ import annotations
@@ -13,8 +13,16 @@ from math import log
 
 # A sample nearer to its prediction than so many standard deviations is good.
 SUSPICIOUS = 2.5
-# The probability of a faulty sample: after a good one, and after another fault of the sensor or in the same sample.
-_LOG_ODDS = log(0.02 / 0.98)
+# The share of outliers that is expected before the first sample. Their probability is a share doubled, because an
+# outlier that is taken for a jump costs more than a jump that is found a sample later; and the least one more, which
+# keeps the first outlier after many good samples from being one. It is at most the last number.
+FIRST_RATE = 0.009
+_LEAST, _TIMES, _MOST = 0.002, 2.0, 0.1
+# Outliers come in bursts: each one that was found lately adds to the share.
+_BURST = 0.01
+# The probability of a fault that repeats a sample.
+_REPEATED = 0.02
+# After another fault of the sensor or in the same sample, a faulty one is as likely as a good one.
 _LOG_ODDS_AGAIN = 0.0
 # During the start the covariance is not sure enough to call a sample faulty that is only somewhat improbable.
 _LOG_ODDS_AT_START = -30.0
@@ -43,6 +51,8 @@ def judge(
     *,
     repeats: bool,
     repeat_rate: float,
+    outlier_rate: float,
+    doubtful: float,
     again: bool,
     starting: bool,
 ) -> Judgement:
@@ -50,9 +60,11 @@ def judge(
 
     repeats: whether it repeats the sample before
     repeat_rate: how often good samples do
+    outlier_rate, doubtful: as in `SensorMemory`
     again: whether a fault has been found in this sample, or in the last one of this output
     """
-    odds = _LOG_ODDS_AGAIN if again else _LOG_ODDS
+    share = _REPEATED if repeats else min(_LEAST + _TIMES * (outlier_rate + _BURST * doubtful), _MOST)
+    odds = _LOG_ODDS_AGAIN if again else log(share / (1.0 - share))
     if starting and not repeats:
         odds = _LOG_ODDS_AT_START
     good = -0.5 * squared

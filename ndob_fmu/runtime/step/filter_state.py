@@ -10,6 +10,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.step.error_columns import ErrorColumns
+from ndob_fmu.runtime.step.faulty_samples import FIRST_RATE
 
 
 @dataclass(slots=True)  # never changed once made; frozen=True would make that cost a hundredth of a step
@@ -25,6 +26,7 @@ class JumpBank:
     log_weight (2 L q2,): logarithm of the weight over that of no jump but for the misfit; −∞ for an empty place.
     newest_age: time since the last hypotheses were added (s).
     since_jump: samples since a jump was certain, counted up to a limit.
+    rate: share of samples with a jump until now.
     """
 
     sizes: Array
@@ -32,6 +34,7 @@ class JumpBank:
     log_weight: Array
     newest_age: float
     since_jump: int
+    rate: float
 
 
 @dataclass(slots=True)  # as above
@@ -41,6 +44,8 @@ class SensorMemory:
     noise_ratio: the variance of the noise over the one that was told.
     counted: samples behind `noise_ratio`.
     repeat_rate: share of samples that repeated the one before.
+    outlier_rate: share of samples that were outliers.
+    doubtful: refused samples that are not in `outlier_rate` yet, because a jump may still explain them.
     resolution: the step of which all changes from one sample to the next may be multiples; ∞ before there was one.
     multiples: how many changes told that they are, counted up to a limit.
     refused: whether the last sample was refused.
@@ -57,6 +62,8 @@ class SensorMemory:
     noise_ratio: float = 1.0
     counted: float = 0.0
     repeat_rate: float = 0.0
+    outlier_rate: float = FIRST_RATE
+    doubtful: float = 0.0
     resolution: float = inf
     multiples: float = 0.0
     refused: bool = False
@@ -158,6 +165,7 @@ def is_possible(memory: FilterMemory) -> bool:
         and not np.any(np.isnan(jumps.log_weight))
         and not np.any(jumps.log_weight == np.inf)
         and jumps.newest_age >= 0.0
+        and 0.0 <= jumps.rate <= 1.0
         and all(map(_is_possible_sensor, memory.sensors))
         and all(isfinite(ratio) and ratio > 0.0 for ratio in memory.frozen_noise)
         and memory.tuned_at >= 0.0
@@ -172,6 +180,8 @@ def _is_possible_sensor(sensor: SensorMemory) -> bool:
         sensor.noise_ratio,
         sensor.counted,
         sensor.multiples,
+        sensor.outlier_rate,
+        sensor.doubtful,
         sensor.debt,
         sensor.usual,
         sensor.waited,

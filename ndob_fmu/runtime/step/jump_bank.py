@@ -24,8 +24,12 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.numerics.transition import parts_of
 from ndob_fmu.runtime.step.filter_state import JumpBank
 
-# A jump is expected every three hundredth sample. It may be as large as from one bound to the other: V = 2 D₀².
-_LOG_PROBABILITIES = np.log(0.003 * np.array([0.7, 0.3]))  # at the sample, within the step
+# Before the first sample, jumps are expected in this share of the samples; later as often as they were in about so many
+# samples, but within these limits.
+FIRST_RATE = 0.003
+_RATE_MEMORY, _LEAST, _MOST = 1000.0, 3e-4, 0.005
+_SHARES = np.array([0.7, 0.3])  # at the sample, within the step
+# A jump may be as large as from one bound to the other: V = 2 D₀².
 _VARIANCE = 2.0
 LENGTH = 12
 # The instants of a jump, in parts of the step, and their weights.
@@ -74,8 +78,11 @@ class Explained(NamedTuple):
     gained: Array
 
 
-def empty_bank(disturbance_bound: Array) -> JumpBank:
-    """Return a bank without hypotheses, for D₀ (q2,)."""
+def empty_bank(disturbance_bound: Array, rate: float) -> JumpBank:
+    """Return a bank without hypotheses, for D₀ (q2,).
+
+    rate: as in `JumpBank`
+    """
     sizes = np.tile(first_sizes(disturbance_bound), (LENGTH, 1, 1))
     return JumpBank(
         sizes=sizes,
@@ -83,6 +90,7 @@ def empty_bank(disturbance_bound: Array) -> JumpBank:
         log_weight=np.full(len(sizes), -np.inf),
         newest_age=np.inf,
         since_jump=LONG_AGO,
+        rate=rate,
     )
 
 
@@ -91,12 +99,21 @@ def columns_of(q: int) -> int:
     return LENGTH * q * _KINDS * _NODES
 
 
-def full_bank(disturbance_bound: Array) -> JumpBank:
-    """Return a bank of all hypotheses, without evidence, for D₀ (q2,)."""
-    bank = empty_bank(disturbance_bound)
-    weights = np.tile(_LOG_PROBABILITIES, len(bank.log_weight) // _KINDS)
+def full_bank(disturbance_bound: Array, rate: float) -> JumpBank:
+    """Return a bank of all hypotheses, without evidence, for D₀ (q2,).
+
+    rate: as in `JumpBank`
+    """
+    bank = empty_bank(disturbance_bound, rate)
+    weights = _expected_weights(rate, len(bank.log_weight))
     weights[: -_UNSEEN * len(weights) // LENGTH] = -np.inf
     return replace(bank, log_weight=weights, newest_age=0.0)
+
+
+def _expected_weights(rate: float, count: int) -> Array:
+    """Return the logarithms of the weights (count,) of hypotheses before any evidence."""
+    probable = min(max(rate, _LEAST), _MOST)
+    return np.asarray(np.tile(np.log(probable * _SHARES), count // _KINDS))
 
 
 def first_sizes(disturbance_bound: Array) -> Array:
@@ -124,7 +141,7 @@ def explained(bank: JumpBank, of_jumps: Array, e: float, alpha: float) -> Explai
 
 def if_used(bank: JumpBank, told: Explained) -> JumpBank:
     """Return the bank after a sample that is good."""
-    return JumpBank(told.sizes, told.misfit, bank.log_weight + told.gained, bank.newest_age, bank.since_jump)
+    return JumpBank(told.sizes, told.misfit, bank.log_weight + told.gained, bank.newest_age, bank.since_jump, bank.rate)
 
 
 def if_refused(bank: JumpBank, told: Explained, if_good: float, if_faulty: float) -> JumpBank:
@@ -141,6 +158,7 @@ def if_refused(bank: JumpBank, told: Explained, if_good: float, if_faulty: float
         bank.log_weight + np.where(better, instead, 0.0),
         bank.newest_age,
         bank.since_jump,
+        bank.rate,
     )
 
 
@@ -157,17 +175,20 @@ def log_weights(bank: JumpBank) -> Array:
 
 def one_more_sample(bank: JumpBank) -> JumpBank:
     """Return the bank after all outputs of a sample."""
-    return JumpBank(bank.sizes, bank.misfit, bank.log_weight, bank.newest_age, min(bank.since_jump + 1, LONG_AGO))
+    rate = bank.rate * (1.0 - 1.0 / _RATE_MEMORY)
+    return JumpBank(bank.sizes, bank.misfit, bank.log_weight, bank.newest_age, min(bank.since_jump + 1, LONG_AGO), rate)
 
 
 def later_bank(bank: JumpBank, H: float) -> JumpBank:
     """Return the bank H s later."""
-    return JumpBank(bank.sizes, bank.misfit, bank.log_weight, min(bank.newest_age + H, _LONG), bank.since_jump)
+    return JumpBank(
+        bank.sizes, bank.misfit, bank.log_weight, min(bank.newest_age + H, _LONG), bank.since_jump, bank.rate
+    )
 
 
-def certain_jump(disturbance_bound: Array) -> JumpBank:
+def after_certain_jump(bank: JumpBank, disturbance_bound: Array) -> JumpBank:
     """Return the bank after a jump that is certain, for D₀ (q2,)."""
-    return replace(empty_bank(disturbance_bound), since_jump=0)
+    return replace(empty_bank(disturbance_bound, bank.rate + 1.0 / _RATE_MEMORY), since_jump=0)
 
 
 def mixture(bank: JumpBank, signatures: Array) -> Mixture:
@@ -236,9 +257,10 @@ def with_newest(bank: JumpBank, newest: Array) -> JumpBank:
     return JumpBank(
         sizes=np.concatenate([bank.sizes[count:], newest]),
         misfit=np.concatenate([bank.misfit[:, count:], np.zeros((3, count))], axis=1),
-        log_weight=np.concatenate([bank.log_weight[count:], np.tile(_LOG_PROBABILITIES, count // _KINDS)]),
+        log_weight=np.concatenate([bank.log_weight[count:], _expected_weights(bank.rate, count)]),
         newest_age=0.0,
         since_jump=bank.since_jump,
+        rate=bank.rate,
     )
 
 

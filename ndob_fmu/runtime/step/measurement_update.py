@@ -26,7 +26,7 @@ from ndob_fmu.runtime.step.jump_bank import (
     LONG_AGO,
     Mixture,
     accepted,
-    certain_jump,
+    after_certain_jump,
     explained,
     if_refused,
     if_used,
@@ -133,6 +133,8 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
                 seen.noise,
                 repeats=repeats[i],
                 repeat_rate=before.repeat_rate,
+                outlier_rate=before.outlier_rate,
+                doubtful=before.doubtful,
                 again=fault or (before.refused and repeats[i]),
                 starting=starting,
             )
@@ -246,7 +248,7 @@ def _with_jump(model: FilterModel, now: _Estimate) -> _Estimate:
         xi=now.xi + shift[:rows],
         columns=joined(columns.factor, nothing, covariance),
         lagged=lagged,
-        jumps=certain_jump(model.bound),
+        jumps=after_certain_jump(now.jumps, model.bound),
     )
 
 

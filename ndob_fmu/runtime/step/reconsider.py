@@ -86,7 +86,9 @@ def reconsidered(
                 # The mean is one of limited numbers. It says that P is too small, not how much.
                 needed = (0.25 * sensor.skipped - used[i]) / own if refuted else 0.0
                 growth = max(growth, needed, _LEAST_GROWTH)
-        after.append(replace(before, noise_ratio=ratio, counted=counted, debt=0.0, refused=False, mean=0.0))
+        after.append(
+            replace(before, noise_ratio=ratio, counted=counted, debt=0.0, doubtful=0.0, refused=False, mean=0.0)
+        )
     growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
     factor = start_factor(model) if growth > _LOST else memory.columns.factor * model.growths(growth)[:, None]
     columns = memory.columns
@@ -94,7 +96,7 @@ def reconsidered(
         memory,
         columns=joined(factor, np.zeros_like(columns.signatures), columns.covariance),
         sensors=tuple(after),
-        jumps=empty_bank(model.bound),
+        jumps=empty_bank(model.bound, memory.jumps.rate),
         lagged=without_signatures(memory.lagged),
         lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
         age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,

@@ -23,6 +23,9 @@ MOST = 0.5
 # model.
 _LATEST = 10.0
 _LIMIT = 4.0
+# The share of outliers is that of about so many samples. A refused sample becomes one little by little, within about so
+# many used samples that show no jump.
+_OUTLIER_MEMORY, _DOUBT = 300.0, 10.0
 # An innovation follows the one before that is not smaller by more than this factor. What a refused sample left counts
 # as one before up to so many standard deviations. Innovations that are too large on average are too large as a rule.
 _FOLLOWS, _NEAR, _RULE = 2.5, 10.0, 2.0
@@ -82,10 +85,13 @@ def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> Sen
     repeat_rate = _repeat_rate(sensor, sample.repeats)
     resolution, multiples = _common_step(sensor, sample, repeat_rate)
     ratio, counted = _followed(sensor, sample, residual, of_rounding(resolution, multiples, repeat_rate))
+    found = sensor.doubtful / _DOUBT
     return SensorMemory(
         noise_ratio=ratio,
         counted=counted,
         repeat_rate=repeat_rate,
+        outlier_rate=sensor.outlier_rate + (found - sensor.outlier_rate) / _OUTLIER_MEMORY,
+        doubtful=sensor.doubtful - found,
         resolution=resolution,
         multiples=multiples,
         refused=False,
@@ -119,6 +125,8 @@ def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *,
         noise_ratio=ratio,
         counted=counted,
         repeat_rate=repeat_rate,
+        outlier_rate=sensor.outlier_rate,
+        doubtful=sensor.doubtful + (not sample.repeats),
         resolution=resolution,
         multiples=multiples,
         refused=True,
@@ -153,7 +161,7 @@ def _followed(sensor: SensorMemory, sample: Innovation, residual: float, roundin
 
 def after_jump(sensor: SensorMemory, *, measured: bool) -> SensorMemory:
     """Return the memory once a jump is certain: what looked like an outlier was the jump, whose size it has told."""
-    return replace(sensor, mean=0.0, debt=0.0, refused=False, waited=0.0 if measured else sensor.waited)
+    return replace(sensor, mean=0.0, debt=0.0, doubtful=0.0, refused=False, waited=0.0 if measured else sensor.waited)
 
 
 def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
@@ -162,6 +170,8 @@ def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
         noise_ratio=sensor.noise_ratio,
         counted=sensor.counted,
         repeat_rate=sensor.repeat_rate,
+        outlier_rate=sensor.outlier_rate,
+        doubtful=sensor.doubtful,
         resolution=sensor.resolution,
         multiples=sensor.multiples,
         refused=sensor.refused,

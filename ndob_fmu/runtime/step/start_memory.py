@@ -9,7 +9,7 @@ from ndob_fmu.runtime.step.error_columns import ErrorColumns, joined
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, SensorMemory
 from ndob_fmu.runtime.step.fixed_lag import empty_lag, kept
-from ndob_fmu.runtime.step.jump_bank import columns_of, empty_bank
+from ndob_fmu.runtime.step.jump_bank import FIRST_RATE, columns_of, empty_bank
 
 
 def start_memory(model: FilterModel) -> FilterMemory:
@@ -18,7 +18,7 @@ def start_memory(model: FilterModel) -> FilterMemory:
         columns=start_columns(model),
         past=np.zeros(model.past_size),
         past_age=np.full(model.past_size // max(len(model.delayed), 1), -1.0),
-        jumps=empty_bank(model.bound),
+        jumps=empty_bank(model.bound, FIRST_RATE),
         sensors=(SensorMemory(),) * len(model.equations.outputs),
         lagged=empty_lag(model.layout.q, model.settings.lag, columns_of(model.layout.q)),
         age=0,
