@@ -9,6 +9,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ndob_fmu.log.diagnostics import LAGS, OutputDiagnosis
@@ -16,6 +18,7 @@ from ndob_fmu.log.result_table import LOG, OBSERVER, SMOOTHER
 from ndob_fmu.results import plots
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.shown_time import ShownTime
+from ndob_fmu.results.thinning import thinned
 from ndob_fmu.runtime.arrays import Array
 
 # Points of a line: more cannot be seen.
@@ -74,8 +77,7 @@ def write_figures(
             drawn: dict[str, tuple[Any, ...]] = {}
             for component, mean, std, label, color in lines:
                 value, bar = kept[f"{component}.{mean}"], 2.0 * kept[f"{component}.{std}"]
-                (line,) = axes.plot(time, value, color=color, linewidth=1.0)
-                band = axes.fill_between(time, value - bar, value + bar, color=color, alpha=0.15, linewidth=0.0)
+                line, band = _line(axes, time, value, color), _band(axes, time, value - bar, value + bar, color, 0.15)
                 drawn[f"{label}, ± 2 std"] = (band, line)
                 ends += [value - bar, value + bar]
             _show_usual(axes, ends)
@@ -88,11 +90,11 @@ def write_figures(
             # A residual stands in the row behind that of its sample.
             sample, residual = kept[f"{LOG}.{name}"], kept[f"{OBSERVER}.{name}_residual"]
             bar = 2.0 * kept[f"{OBSERVER}.{name}_residual_std"]
-            above.plot(time, sample, color="C0", linewidth=1.0)
+            _line(above, time, sample, "C0")
             _label(above, name, f"[{unit}]")
             # Thousands of dots are slow in a vector file, to write and to look at.
             (dots,) = below.plot(time, residual, ".", markersize=1.5, color="C1", rasterized=True)
-            band = below.fill_between(time, -bar, bar, color="0.5", alpha=0.25, linewidth=0.0)
+            band = _band(below, time, -bar, bar, "0.5", 0.25)
             _show_usual(below, [residual, -bar, bar])
             _label(below, "residual", f"[{unit}]")
         _legend(rows[1], {"sample less its prediction": (dots,), "± 2 std": (band,)})
@@ -107,6 +109,19 @@ def write_figures(
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         _legend(rows[0], {"correlation of residuals": (bars,), "by chance, 95 %": (chance,)})
         axes.set_xlabel("samples apart")
+
+
+def _line(axes: Axes, time: Array, value: Array, color: str) -> Line2D:
+    """Draw a signal, of which a figure shows no more than `thinned` leaves."""
+    rows = thinned(value)
+    (line,) = axes.plot(time[rows], value[rows], color=color, linewidth=1.0)
+    return line
+
+
+def _band(axes: Axes, time: Array, low: Array, high: Array, color: str, alpha: float) -> PolyCollection:
+    """Draw a band, of which a figure shows no more than `thinned` leaves."""
+    rows = np.union1d(thinned(low), thinned(high))
+    return axes.fill_between(time[rows], low[rows], high[rows], color=color, alpha=alpha, linewidth=0.0)
 
 
 def _label(axes: Axes, name: str, unit: str = "") -> None:

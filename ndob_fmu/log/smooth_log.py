@@ -13,7 +13,7 @@ from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained
 from ndob_fmu.log.online import Stretch
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smoother import smoothed
+from ndob_fmu.log.smoother import Smoothed
 from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
@@ -107,7 +107,7 @@ def explained_stretch(
         record, columns = record_along(equations, samples, trajectory, lambda steps: intensities(tuned, steps), start)
         found = explained(WholeRecord(record), columns, spacing, started, events)
         about, events = trajectory, found.events
-        trajectory = about + smoothed(found.forward, found.adjoint).xi
+        trajectory = about + Smoothed(found.forward, found.adjoint).xi
     return found, about
 
 
@@ -124,9 +124,8 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
 def smoothed_stretch(model: FilterModel, found: Explained, about: Array, rows: int) -> SmoothedStretch:
     """Return the smoothed estimate at the first rows."""
     n, d = model.layout.n, model.layout.disturbance
-    all_rows = smoothed(found.forward, found.adjoint)
-    xi, covariance = about[:rows] + all_rows.xi[:rows], all_rows.covariance[:rows]
-    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    all_rows = Smoothed(found.forward, found.adjoint)
+    xi, std = about[:rows] + all_rows.xi[:rows], all_rows.std[:rows]
     return SmoothedStretch(
         x=xi[:, :n],
         x_std=std[:, :n],

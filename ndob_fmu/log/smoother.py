@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import prod
 
 import numpy as np
@@ -103,10 +103,32 @@ class Adjoint:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The smoothed errors ξ (K,…,N), and their covariances (K,…,N,N)."""
+    """The smoothed errors, by what filter and adjoint have found. Each is computed when it is first asked for."""
 
-    xi: Array
-    covariance: Array
+    forward: Forward
+    adjoint: Adjoint
+
+    @cached_property
+    def xi(self) -> Array:
+        """ξ (K,…,N)."""
+        S, score = self.forward.factor, self.adjoint.of_state[..., None]
+        return np.asarray(self.forward.xi + (S @ (np.swapaxes(S, -1, -2) @ score))[..., 0])
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of ξ (K,…,N,N)."""
+        return np.asarray(self._left @ np.swapaxes(self.forward.factor, -1, -2))
+
+    @cached_property
+    def std(self) -> Array:
+        """Of ξ (K,…,N)."""
+        return np.asarray(np.sqrt(np.maximum((self._left * self.forward.factor).sum(axis=-1), 0.0)))
+
+    @cached_property
+    def _left(self) -> Array:
+        """S (I − Sᵀ Λ S)."""
+        S = self.forward.factor
+        return np.asarray(S @ (np.eye(S.shape[-1]) - np.swapaxes(S, -1, -2) @ self.adjoint.of_state_variance @ S))
 
 
 def forward(record: LinearRecord, jumps: Mapping[int, Array] | None = None) -> Forward:
@@ -144,7 +166,7 @@ def forward(record: LinearRecord, jumps: Mapping[int, Array] | None = None) -> F
             found.alpha[k, ..., i] = np.where(known, alpha, np.inf)
             f /= (1.0 + np.sqrt(R / alpha))[..., None]
             seen[..., N] = -e
-            both = both - gain[..., None] * seen[..., None, :]
+            both -= gain[..., None] * seen[..., None, :]
         if k < K - 1:
             both = np.matmul(record.Phi[k], both)
             xi = both[..., N] + record.shift[k]
@@ -200,14 +222,6 @@ def closed_loops(record: LinearRecord, found: Forward) -> Iterator[tuple[slice, 
 def _adjoint_shapes(record: LinearRecord) -> tuple[tuple[int, ...], ...]:
     p, N = record.rows.shape[-2:]
     return (N,), (N, N), (p,), (p,)
-
-
-def smoothed(found: Forward, adjoint: Adjoint) -> Smoothed:
-    """Return the smoothed errors of a record."""
-    S, St = found.factor, np.swapaxes(found.factor, -1, -2)
-    xi = found.xi + (S @ (St @ adjoint.of_state[..., None]))[..., 0]
-    covariance = S @ (np.eye(S.shape[-1]) - St @ adjoint.of_state_variance @ S) @ St
-    return Smoothed(xi, covariance)
 
 
 def lower_factor(rows: Array) -> Array:

@@ -7,7 +7,7 @@ import pytest
 
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Jumps
-from ndob_fmu.log.smoother import LinearRecord, backward, forward, smoothed
+from ndob_fmu.log.smoother import LinearRecord, Smoothed, backward, forward
 from ndob_fmu.log.whole_record import WholeRecord
 from tests.helpers.batch_estimate import Batch
 
@@ -53,7 +53,7 @@ def test_forward_and_backward_together_are_the_least_squares_solution(N, p, K, j
     record = random_record(N, p, K, seed=N)
     jumps = {} if jump is None else {jump: np.random.default_rng(1).standard_normal((N, 2))}
     run = forward(record, jumps)
-    found, batch = smoothed(run, backward(record, run)), batch_of(record, jumps)
+    found, batch = Smoothed(run, backward(record, run)), batch_of(record, jumps)
     for k in range(K):
         mean, covariance = batch.estimate(k)
         np.testing.assert_allclose(found.xi[k], mean, rtol=0, atol=1e-9 * np.abs(mean).max())
@@ -126,9 +126,9 @@ def test_a_jump_is_found_where_it_is(size):
     found = explained(record, columns, 20, 9)
     assert len(found.events.jumps) == 1
     assert abs(next(iter(found.events.jumps)) - 250) <= 3
-    error = smoothed(found.forward, found.adjoint).xi[:, 2] - d
+    error = Smoothed(found.forward, found.adjoint).xi[:, 2] - d
     without = forward(record.whole)
-    plain = smoothed(without, backward(record.whole, without)).xi[:, 2] - d
+    plain = Smoothed(without, backward(record.whole, without)).xi[:, 2] - d
     assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(plain**2))
 
 
@@ -169,4 +169,4 @@ def test_a_record_in_pieces_side_by_side_is_filtered_as_from_end_to_end(rate):
 def test_a_record_of_any_length_fits_into_pieces(K):
     record = random_record(3, 2, K, seed=K)
     (run, adjoint), own = WholeRecord(record).passes(record.variance, {}), forward(record)
-    np.testing.assert_allclose(smoothed(run, adjoint).xi, smoothed(own, backward(record, own)).xi, atol=1e-9)
+    np.testing.assert_allclose(Smoothed(run, adjoint).xi, Smoothed(own, backward(record, own)).xi, atol=1e-9)

@@ -20,7 +20,7 @@ from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.online import along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.smooth_log import smooth
-from ndob_fmu.log.smoother import backward, forward, smoothed
+from ndob_fmu.log.smoother import Smoothed, backward, forward
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.log.tune.figures import disturbance_figure, residual_figure
 from ndob_fmu.log.tune.lagged import lagged_adjoint
@@ -86,11 +86,11 @@ def test_each_later_sample_makes_the_band_narrower(workbench):
 def test_a_lagged_estimate_is_the_smoothed_one_of_a_record_that_ends_a_lag_later(lag):
     record, K = random_record(3, 2, 30, seed=5), 30
     whole = forward(record)
-    lagged = smoothed(whole, lagged_adjoint(record, whole, lag))
+    lagged = Smoothed(whole, lagged_adjoint(record, whole, lag))
     for k in (0, 11, 24, 29):
         part = record.some(slice(0, min(k + lag + 1, K)), record.start, record.start_factor)
         run = forward(part)
-        expected = smoothed(run, backward(part, run))
+        expected = Smoothed(run, backward(part, run))
         np.testing.assert_allclose(lagged.xi[k], expected.xi[k], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(lagged.covariance[k], expected.covariance[k], rtol=1e-9, atol=1e-9)
 

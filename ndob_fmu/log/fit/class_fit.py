@@ -17,7 +17,7 @@ from ndob_fmu.log.events import Events, Explained, with_events
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
 from ndob_fmu.log.fit.problem import Linearised, Problem
-from ndob_fmu.log.smoother import smoothed
+from ndob_fmu.log.smoother import Smoothed
 from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 
@@ -144,7 +144,7 @@ def fit_class(
         about = problem.about(trajectory, theta)
         noise = fit_noise(*about.pieces(train), problem.layout, before or first)
         found = _explained(about, noise)
-        trajectory = trajectory + smoothed(found.forward, found.adjoint).xi
+        trajectory = trajectory + Smoothed(found.forward, found.adjoint).xi
         if climbs and before is not None and noise.value < before.value - _LESS:
             theta = 0.5 * (theta + at_best)  # the step was too long
             continue
@@ -200,7 +200,7 @@ def _raised(known: Linearised, noise: NoiseFit) -> Array:
         told = replace(noise, log_intensity=noise.log_intensity + np.log(factors))
         found = with_events(_whole(known, told), known.columns, noise.events)
         if turn == 0:
-            smooth = known.trajectory[:, places] + smoothed(found.forward, found.adjoint).xi[:, places]
+            smooth = known.trajectory[:, places] + Smoothed(found.forward, found.adjoint).xi[:, places]
             jumps = sorted(found.events.jumps)
             wanders = np.minimum(
                 _wanders(smooth, problem.rows.model.start_samples, jumps),

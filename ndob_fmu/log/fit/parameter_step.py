@@ -15,7 +15,7 @@ from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.pieces import CutRecord
-from ndob_fmu.log.smoother import backward, forward, smoothed
+from ndob_fmu.log.smoother import Smoothed, backward, forward
 from ndob_fmu.runtime.arrays import Array
 
 # Differences are taken over this part of a parameter's prior standard deviation.
@@ -63,7 +63,7 @@ def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: 
         record, search = problem.about(trajectory[:K], theta + moved).pieces(slice(K))
         told = noise.cut(record, layout)
         run = forward(told.parts, told.pieces.placed(search.columns.at(noise.events.jumps)))
-        xi = trajectory[told.pieces.rows] + smoothed(run, backward(told.parts, run)).xi
+        xi = trajectory[told.pieces.rows] + Smoothed(run, backward(told.parts, run)).xi
         return np.asarray((xi[..., layout.disturbance] - model.settings.disturbance_nominal) / model.bound)
 
     prior = problem.parameter_std

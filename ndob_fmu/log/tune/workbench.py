@@ -27,7 +27,7 @@ from ndob_fmu.log.online import along
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, noise_variance
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, smoothed
+from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, Smoothed
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.tune.settings import Settings, settings_of
@@ -277,6 +277,5 @@ def _filtered(model: FilterModel, trajectory: Array, run: Forward) -> Band:
 def _with(model: FilterModel, trajectory: Array, run: Forward, adjoint: Adjoint) -> Band:
     """Return the estimate with the later samples that an adjoint knows."""
     d = model.layout.disturbance
-    found = smoothed(run, adjoint)
-    variance = np.diagonal(found.covariance[:, d, d], axis1=1, axis2=2)
-    return Band(trajectory[:, d] + found.xi[:, d], np.minimum(np.sqrt(np.maximum(variance, 0.0)), model.bound))
+    found = Smoothed(run, adjoint)
+    return Band(trajectory[:, d] + found.xi[:, d], np.minimum(found.std[:, d], model.bound))
