@@ -56,6 +56,12 @@ def in_layout(trajectory: Array, old: Layout, new: Layout) -> Array:
     return xi
 
 
+def unpacked_rows(layout: Layout, packed: Array) -> Array:
+    """Return `Layout.unpacked` of rows (K,·), as (K,N)."""
+    places = layout.unpacked(np.arange(packed.shape[1]).tolist()).astype(np.intp)
+    return np.asarray(packed[:, places])
+
+
 def intensities(tuned: Tuned, steps: Array) -> Array:
     """Return `Tuned.intensity` (K,q2) for steps (K,) s, with the noise as told."""
     as_told = [1.0]

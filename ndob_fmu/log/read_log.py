@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator
+from itertools import chain, islice
 from math import inf, nan
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.extras import extra
 
 BLOCK = 30_000  # rows: the smoother keeps some kilobytes of each
+_LINES = 3000  # in memory at once
 _SEPARATORS = (",", ";", "\t")
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
 _TRUTH = {"true": 1.0, "false": 0.0}
@@ -110,7 +112,7 @@ def _log(rows: Array, signals: Signals, held: Array, count: Found) -> tuple[Log,
 
 
 def _csv(where: str, signals: Signals, block: int) -> Iterator[Array]:
-    """Yield the rows (K,S) of a CSV file, one line in memory at a time."""
+    """Yield the rows (K,S) of a CSV file, some lines in memory at a time."""
     try:
         with Path(where).open(encoding="utf-8-sig", newline="") as file:  # -sig: spreadsheets write a byte-order mark
             lines = (line for line in file if line.strip() and not line.lstrip().startswith("#"))
@@ -120,16 +122,53 @@ def _csv(where: str, signals: Signals, block: int) -> Iterator[Array]:
                 name.strip() for name in next(csv.reader([first], delimiter=separator, skipinitialspace=True), [])
             ]
             columns = columns_of(where, header, signals)
-            rows: list[list[float]] = []
-            for number, row in enumerate(csv.reader(lines, delimiter=separator, skipinitialspace=True), 1):
-                rows.append(_numbers(where, number, row, columns, len(header), separator))
-                if len(rows) == block:
-                    yield columns.converted(np.array(rows))
-                    rows = []
-            if rows:
-                yield columns.converted(np.array(rows))
+            rows = np.empty((0, len(columns.places)))
+            for part in _parts(where, lines, columns, len(header), separator, min(_LINES, block)):
+                rows = np.concatenate([rows, part])
+                if len(rows) >= block:
+                    yield columns.converted(rows[:block])
+                    rows = rows[block:]
+            if len(rows):
+                yield columns.converted(rows)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError.report(where, expected="a readable CSV file", received=str(error)) from error
+
+
+def _parts(
+    where: str, lines: Iterator[str], columns: Columns, width: int, separator: str, most: int
+) -> Iterator[Array]:
+    """Yield the rows (·,S) of lines, at most so many at once."""
+    first = 1
+    while some := list(islice(lines, most)):
+        is_plain = not any('"' in line for line in some)
+        rows = _plain(some, columns, separator) if is_plain else None
+        if rows is not None:
+            first += len(rows)
+            yield rows
+            continue
+        # What stands in quotes may go on in the next line.
+        rest = some if is_plain else chain(some, lines)
+        numbered = enumerate(csv.reader(rest, delimiter=separator, skipinitialspace=True), first)
+        while found := [
+            _numbers(where, number, row, columns, width, separator) for number, row in islice(numbered, most)
+        ]:
+            first += len(found)
+            yield np.array(found)
+
+
+def _plain(lines: list[str], columns: Columns, separator: str) -> Array | None:
+    """Return the rows of lines of numbers and empty entries; None where there is anything else."""
+    empty, missing = 2 * separator, f"{separator}nan{separator}"
+    texts = []
+    for line in lines:
+        text = line.rstrip("\r\n")
+        if empty in text:
+            text = text.replace(empty, missing).replace(empty, missing)
+        texts.append(f"{text}nan" if text.endswith(separator) else text)
+    try:
+        return np.loadtxt(texts, delimiter=separator, usecols=columns.places, ndmin=2, comments=None)
+    except ValueError:
+        return None
 
 
 def _numbers(where: str, number: int, row: list[str], columns: Columns, width: int, separator: str) -> list[float]:

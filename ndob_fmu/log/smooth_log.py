@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
-from ndob_fmu.log.along import Samples, Start, intensities, record_along
+from ndob_fmu.log.along import Samples, Start, intensities, record_along, unpacked_rows
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained
 from ndob_fmu.log.online import Stretch
@@ -102,7 +102,7 @@ def explained_stretch(
     samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, noise_variance(model, said.noise_ratio))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
-    trajectory = np.array([model.layout.unpacked(row) for row in said.predicted])
+    trajectory = unpacked_rows(model.layout, said.predicted)
     for _ in range(1 if model.is_linear else _LINEARISATIONS):
         record, columns = record_along(equations, samples, trajectory, lambda steps: intensities(tuned, steps), start)
         found = explained(WholeRecord(record), columns, spacing, started, events)

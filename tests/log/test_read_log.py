@@ -72,6 +72,18 @@ def test_missing_entries_are_samples_not_taken_and_inputs_held(tmp_path):
     assert found == Found(rows=5, missing_inputs=3, missing_samples=4)
 
 
+@pytest.mark.parametrize("block", [1, 2, 100])
+def test_an_entry_may_go_on_in_the_next_line(tmp_path, block):
+    rows = [f"{k},1,{2 * k},3," for k in range(5)]
+    plain = "time,u,y,z,note\n" + "\n".join(rows)
+    text = "time,u,y,z,note\n" + "\n".join([*rows[:2], rows[2] + '"two\nlines"', *rows[3:]])
+    own, expected = (
+        np.concatenate([log.outputs for log in read_log(written(tmp_path, one, name), SIGNALS, block)])
+        for one, name in ((text, "notes.csv"), (plain, "plain.csv"))
+    )
+    np.testing.assert_equal(own, expected)
+
+
 def test_rows_of_one_time_are_one_sample(tmp_path):
     """As loggers write sensors that come one after the other."""
     text = "time,u,y,z\n0,1,2,\n0,1,,3\n1,4,5,6\n1,4,7,\n"

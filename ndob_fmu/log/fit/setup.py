@@ -13,7 +13,7 @@ from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
-from ndob_fmu.log.along import Samples, in_layout
+from ndob_fmu.log.along import Samples, in_layout, unpacked_rows
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.log import Log
 from ndob_fmu.log.log_columns import Signals
@@ -143,7 +143,7 @@ class Setup:
     def trajectory(self, run: Run, problem: Problem) -> Array:
         """Return ξ (K,N) along a log by the observer's estimate."""
         layout = run.observer.layout
-        said = np.array([layout.unpacked(row) for row in run.stretch.online.predicted])
+        said = unpacked_rows(layout, run.stretch.online.predicted)
         return in_layout(said, layout, problem.rows.model.layout)
 
     @property
