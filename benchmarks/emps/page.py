@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from benchmarks.emps.model import model
-from benchmarks.emps.record import AFTER, BEFORE, FORCE, Estimate, score
+from benchmarks.emps.record import AFTER, BEFORE, FORCE, Estimate, known_before, score
 from benchmarks.estimator.page import save_flat
 from ndob_fmu.log.fit.fit_log import Fitted
 from ndob_fmu.runtime.arrays import Array
@@ -124,6 +124,7 @@ def write(folder: Path, fitted: Fitted, t: Array, found: Sequence[Estimate]) -> 
         stop=t[-1] - t[0],
         rows=len(t),
         errors=table(t, found),
+        least=score(t, known_before(found[0])).rms,
         fitted=fitted_table(fitted),
         maps=map_table(fitted),
         warnings="".join(f"\n> {line}\n" for line in fitted.warnings),
@@ -177,10 +178,12 @@ What `fit` says besides:
 {errors}
 
 The first 0.2 s are not judged. "Away from the edges" leaves out {before:g} ms before an edge and {after:g} ms after it.
-The online estimate cannot know a jump before samples show it, so most of its error is there. Later samples show where
-the jump was. What is left is an error of the model: ripple of the spindle, and friction when the drive turns. The
-observer finds this force too. It is not in the made one, so that the narrow bands of the later estimates hold fewer
-than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another day would be a harder test.
+The online estimate cannot know a jump before samples show it: an edge moves the position from the next sample on, and
+a row's estimate is made of the samples before that row. These two rows at each edge alone make {least:.1f} N. Later
+samples show where the jump was. What is left is an error of the model: ripple of the spindle, and friction when the
+drive turns. The observer finds this force too. It is not in the made one, so that the narrow bands of the later
+estimates hold fewer than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another day
+would be a harder test.
 
 ![Each estimate with its error bar around an edge]({edge})
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +84,14 @@ def estimates(result: Recording, force: Array) -> list[Estimate]:
         ),
         Estimate("smoothed", result["smoother.force"], result["smoother.force_std"], force),
     ]
+
+
+def known_before(online: Estimate) -> Estimate:
+    """Return the force as the samples before each row tell it, without noise: no online estimate can know more.
+
+    A force moves the position from the sample after its edge on, and a row's estimate is made of the samples before it.
+    """
+    return replace(online, value=np.concatenate([online.true[:1], online.true[:1], online.true[:-2]]))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.io import savemat
 from benchmarks.emps.__main__ import main
 from benchmarks.emps.model import model
 from benchmarks.emps.page import EDGE, FREE, PAGE, TITLE, WHOLE
-from benchmarks.emps.record import FORCE, Estimate, pulses, read, score
+from benchmarks.emps.record import FORCE, Estimate, known_before, pulses, read, score
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.fit.fit_log import Fitted, Told
 from ndob_fmu.log.fit.map_step import LearnedMap
@@ -50,6 +50,14 @@ def test_an_error_at_an_edge_counts_in_the_whole_only():
     assert found.rms == pytest.approx(np.sqrt((1790 + 10 * 100.0**2) / 1800), rel=1e-9)
     assert found.away == pytest.approx(1.0)
     assert found.covered == pytest.approx(1790 / 1800)
+
+
+def test_the_least_online_error_is_that_of_the_two_rows_at_an_edge():
+    t = 1e-3 * np.arange(2000)
+    true = np.where(t >= 1.0, FORCE, 0.0)
+    least = score(t, known_before(Estimate("", true, np.zeros(2000), true)))
+    assert least.rms == pytest.approx(FORCE * np.sqrt(2 / 1800), rel=1e-9)
+    assert least.away == 0.0
 
 
 @pytest.fixture(scope="module")
