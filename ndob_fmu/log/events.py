@@ -57,6 +57,11 @@ class Events:
     jumps: Mapping[int, bool] = field(default_factory=dict)
     outliers: frozenset[tuple[int, int]] = frozenset()
 
+    def and_then(self, others: Events, first: int) -> Events:
+        """Return these and those of a record that begins at an instant of this one."""
+        outliers = {(first + k, i) for k, i in others.outliers}
+        return Events({**self.jumps, **{first + k: kind for k, kind in others.jumps.items()}}, self.outliers | outliers)
+
     @property
     def costs(self) -> float:
         """Of all events, to be taken off the log-likelihood of a record that has them."""

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,10 +13,11 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.events import Events
+from ndob_fmu.log.fit.class_fit import ClassFit
 from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.fit.likelihood import likelihood
-from ndob_fmu.log.fit.noise_fit import moved
+from ndob_fmu.log.fit.noise_fit import NoiseFit, moved
 from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.told_values import told_values
@@ -47,6 +49,24 @@ def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
     for i, slope in enumerate(at(centre).slopes):
         up, down = (at(centre + sign * step * np.eye(3)[i]).value for sign in (1.0, -1.0))
         assert (up - down) / (2.0 * step) == pytest.approx(slope, rel=1e-3)
+
+
+def test_what_stands_between_two_jumps_a_few_rows_apart_does_not_count_as_the_largest_disturbance(tmp_path):
+    made_log(tmp_path / "log.csv", "walk", 3, rows=700)
+    told = replace(setup(), hold=0.0)
+    run = told.online(tmp_path / "log.csv", None, None)
+    problem = told.problem(run, 1)
+    trajectory = np.zeros_like(told.trajectory(run, problem))
+    trajectory[300:305, problem.layout.disturbance] = -9.0
+    trajectory[500:, problem.layout.disturbance] = 2.0
+
+    def largest(*jumps):
+        noise = NoiseFit(np.zeros(2), np.zeros(1), np.eye(3), Events(dict.fromkeys(jumps, False)), 0.0)
+        about = problem.about(trajectory, problem.told)
+        return ClassFit(about, noise, np.zeros(0), np.zeros((0, 0)), trajectory).largest(np.full(1, 0.5))
+
+    assert largest(300, 305, 500) == 1.5
+    assert largest(300, 500) == 9.5
 
 
 def bars(answer, left):

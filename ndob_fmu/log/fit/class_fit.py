@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -38,10 +39,31 @@ _LIVELY = (1e8, 1e5, 1e3, 10.0, 1.0)
 # What wanders by more than this part of a jump is jumps that were too small to be found. A jump is seen in full so many
 # rows beside it.
 _SMALL, _BESIDE = 0.25, 2
+# Two jumps within so many rows may stand for one.
+_CLOSE = 10
 # A normal number is as often within the median of its size as beyond it, and that is its standard deviation over this.
 _STD_OF_MEDIAN = 1.4826
 
 ParameterStep = Callable[[Problem, Array, Array, NoiseFit], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What a fit says of rows that were held out.
+
+    value: log-likelihood of their samples, less the costs of their events
+    samples: how many there are
+    events: by the numbers of these rows
+    """
+
+    value: float
+    samples: int
+    events: Events
+
+    @property
+    def of_a_sample(self) -> float | None:
+        """The log-likelihood of a sample, None where there is none."""
+        return self.value / self.samples if self.samples else None
 
 
 @dataclass(frozen=True)
@@ -71,8 +93,8 @@ class ClassFit:
         return self.problem.layout.order
 
     @cached_property
-    def held_out(self) -> tuple[float, int]:
-        """The log-likelihood of the held-out samples, less the costs of their events, and how many there are."""
+    def held_out(self) -> HeldOut:
+        """What the fit says of the held-out rows."""
         return _held_out(self.about, self.noise)
 
     @cached_property
@@ -89,8 +111,25 @@ class ClassFit:
     @property
     def judged(self) -> float:
         """The log-likelihood of what was held out, or of all where nothing was."""
-        value, samples = self.held_out
-        return value if samples else self.noise.value
+        return self.held_out.value if self.held_out.samples else self.noise.value
+
+    def largest(self, about: Array) -> Array:
+        """The largest distance (q2,) of smoothed disturbances from values (q2,).
+
+        Two jumps a few rows apart may stand for one between them, and what the disturbance is there is hardly told.
+        """
+        told = np.ones(len(self.trajectory), dtype=bool)
+        jumps = sorted(self.with_held_out_events.noise.events.jumps)
+        for one, other in pairwise(jumps):
+            told[one:other] = other - one > _CLOSE
+        told = told[-len(self.disturbance) :]
+        return np.asarray(np.max(np.abs(self.disturbance - about)[told], axis=0, initial=0.0))
+
+    @property
+    def with_held_out_events(self) -> ClassFit:
+        """The same with the events of the held-out rows, too."""
+        events = self.noise.events.and_then(self.held_out.events, self.problem.trained)
+        return replace(self, noise=replace(self.noise, events=events))
 
     @property
     def disturbance(self) -> Array:
@@ -168,11 +207,10 @@ def _explained(known: Linearised, noise: NoiseFit) -> Explained:
     return with_events(_whole(known, noise), known.columns, events)
 
 
-def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
-    """Return the log-likelihood of the held-out samples, less the costs of their events, and how many there are."""
+def _held_out(about: Linearised, noise: NoiseFit) -> HeldOut:
     problem = about.problem
     if problem.trained == len(about.trajectory):
-        return 0.0, 0
+        return HeldOut(0.0, 0, Events())
     held, search = about.pieces(slice(problem.trained, None))
     told, events = noise.cut(held, problem.layout), Events()
     # A calm filter is lost after a jump that is not known yet, and finds no other one.
@@ -180,7 +218,7 @@ def _held_out(about: Linearised, noise: NoiseFit) -> tuple[float, int]:
         faster = replace(noise, log_intensity=noise.log_intensity + np.log(lively))
         events = search.within(faster.cut(held, problem.layout), events)
     value = likelihood(Moved(told, search.columns), [], events).value - events.costs
-    return value, int(np.isfinite(held.whole.misfit).sum())
+    return HeldOut(value, int(np.isfinite(held.whole.misfit).sum()), events)
 
 
 def _whole(known: Linearised, noise: NoiseFit) -> WholeRecord:

@@ -155,7 +155,6 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     pace, pace_std = best.pace
     pace, pace_std = pace * best.raised, pace_std * best.raised
     rates = _rates(setup, best, found, pace, run)
-    judged = {order: fit.held_out for order, fit in fits.items()}
     return Fitted(
         build=run.build,
         rows=run.rows,
@@ -171,7 +170,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         },
         parameters=parameters,
         maps=maps.maps,
-        held_out_values={order: value / samples if samples else None for order, (value, samples) in judged.items()},
+        held_out_values={order: fit.held_out.of_a_sample for order, fit in fits.items()},
         warnings=tuple(warnings),
         start_values={**found, **setup.named("disturbance_rate", rates)},
     )
@@ -190,7 +189,7 @@ def _with_all_rows(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, Clas
     """Return the fit of all rows in the class that was chosen, and the setup that holds out none."""
     setup = replace(setup, hold=0.0)
     problem = replace(setup, free=()).problem(run, known.order)
-    return setup, fit_class(problem, known.trajectory, most_likely, start=known)
+    return setup, fit_class(problem, known.trajectory, most_likely, start=known.with_held_out_events)
 
 
 def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str]) -> tuple[Setup, ClassFit]:
@@ -278,7 +277,7 @@ def _best(fits: Mapping[int, ClassFit]) -> ClassFit:
 def _raised_bounds(setup: Setup, best: ClassFit) -> dict[str, float]:
     """Return larger values of disturbance_bound where the log shows a larger disturbance."""
     bound, nominal = setup.of_disturbances("disturbance_bound"), setup.of_disturbances("disturbance_nominal")
-    seen = _BEYOND * np.max(np.abs(best.disturbance - nominal), axis=0)
+    seen = _BEYOND * best.largest(nominal)
     raised = setup.named("disturbance_bound", np.maximum(bound, seen))
     return {name: value for (name, value), higher in zip(raised.items(), seen > bound, strict=True) if higher}
 

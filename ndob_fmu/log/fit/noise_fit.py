@@ -136,6 +136,8 @@ def _most_likely(
         if min(told.slopes @ scored, np.abs(told.slopes) @ np.abs(step)) < _GAIN:
             return at + step, told
         further = _told(record, layout, columns, events, at + step)
+        if further.value < told.value - _GAIN:
+            step = scored * np.max(np.abs(step)) / np.max(np.abs(scored))  # straight up, however little
         while further.value < told.value - _GAIN:
             step = 0.5 * step
             further = _told(record, layout, columns, events, at + step)

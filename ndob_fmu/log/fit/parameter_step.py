@@ -11,7 +11,7 @@ import numpy as np
 
 from ndob_fmu.log.events import Jumps
 from ndob_fmu.log.fit.error_bars import widened
-from ndob_fmu.log.fit.likelihood import Moved, likelihood
+from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.pieces import CutRecord
@@ -48,7 +48,19 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
     slopes[:n] -= (theta - problem.told) / prior**2
     inverse = np.asarray(np.linalg.inv(found.information + np.diag(of_prior)))
     bars = widened(inverse, inverse, found.answer, found.surprise)
-    return (inverse @ slopes)[:n], bars[:n, :n]
+    step = np.asarray(np.linalg.solve(_apart(found, n) + np.diag(of_prior), slopes))
+    return step[:n], bars[:n, :n]
+
+
+def _apart(found: Likelihood, n: int) -> Array:
+    """Return the information of n parameters and of the noise, without what their innovations have in common.
+
+    In the mean that is nothing. Where the parameters are wrong, what they leave in the innovations is in both.
+    """
+    information, p = found.information, found.answer.shape[1] // 2
+    by_variance = np.einsum("acr,bcr->ab", found.answer[:n, p:], found.answer[n:, p:])
+    information[:n, n:], information[n:, :n] = by_variance, by_variance.T
+    return information
 
 
 def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
