@@ -34,7 +34,7 @@ from ndob_fmu.log.events import (
 from ndob_fmu.log.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
 
-_MOST_PASSES, _MOST_ROUNDS = 40, 40
+_MOST_PASSES, _MOST_ROUNDS = 20, 40
 # An event shows in the samples around it, too. Within so many spacings of a new one there is no other in the same
 # round.
 _REACH = 10
@@ -88,11 +88,10 @@ class Search:
 
     def change(self, better: Events) -> None:
         """Take these events in place of those that were there."""
-        old, new = self._sources(self.events), self._sources(better)
-        added = {which: source for which, source in new.items() if which not in old}
+        old, self.events = self.events, better
+        gone, added = self._sources(old.without(better)), self._sources(better.without(old))
         self._taken.update([*added])
-        self.events = better
-        touched = self.scores.change([which for which in old if which not in new], added)
+        touched = self.scores.change([*gone], added)
         if self.scores.are_known:
             self._judge(touched)
 
@@ -174,8 +173,8 @@ class Search:
 
     def _known_at(self, rows: NDArray[np.intp], *, jumps: bool) -> Iterator[tuple[int, Known]]:
         """Yield the jumps, or the outliers, that are known at rows, and their places there."""
-        some = [one for one in self.scores.known.values() if (one.source.output is None) is jumps]
-        places = np.searchsorted(rows, [one.source.k for one in some])
-        for place, one in zip(places.tolist(), some, strict=True):
-            if place < len(rows) and rows[place] == one.source.k:
-                yield place, one
+        known, outputs = self.scores.known, (None,) if jumps else range(self._more.shape[1])
+        for place, k in enumerate(rows.tolist()):
+            for output in outputs:
+                if (k, output) in known:
+                    yield place, known[k, output]

@@ -62,6 +62,11 @@ class Events:
         outliers = {(first + k, i) for k, i in others.outliers}
         return Events({**self.jumps, **{first + k: kind for k, kind in others.jumps.items()}}, self.outliers | outliers)
 
+    def without(self, others: Events) -> Events:
+        """Return the events that others do not have."""
+        jumps = {k: in_step for k, in_step in self.jumps.items() if k not in others.jumps}
+        return Events(jumps, self.outliers - others.outliers)
+
     @property
     def costs(self) -> float:
         """Of all events, to be taken off the log-likelihood of a record that has them."""
