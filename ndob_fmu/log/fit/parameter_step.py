@@ -20,6 +20,8 @@ from ndob_fmu.runtime.arrays import Array
 
 # Differences are taken over this part of a parameter's prior standard deviation.
 _MOVED = 1e-3
+# Parameters that are wrong by more than so many standard deviations leave more in the innovations than noise does.
+_FAR = 3.0
 
 
 def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
@@ -48,8 +50,10 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
     slopes[:n] -= (theta - problem.told) / prior**2
     inverse = np.asarray(np.linalg.inv(found.information + np.diag(of_prior)))
     bars = widened(inverse, inverse, found.answer, found.surprise)
-    step = np.asarray(np.linalg.solve(_apart(found, n) + np.diag(of_prior), slopes))
-    return step[:n], bars[:n, :n]
+    step, covariance = (inverse @ slopes)[:n], bars[:n, :n]
+    if np.any(np.abs(step) > _FAR * np.sqrt(np.diag(covariance))):
+        step = np.asarray(np.linalg.solve(_apart(found, n) + np.diag(of_prior), slopes))[:n]
+    return step, covariance
 
 
 def _apart(found: Likelihood, n: int) -> Array:
