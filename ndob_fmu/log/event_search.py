@@ -164,7 +164,9 @@ class Search:
     def _gained_by_outliers(self, rows: NDArray[np.intp]) -> Array:
         """Return what an outlier in each sample explains at rows (·,p)."""
         size = np.sqrt(self._more[rows])
-        score, variance = size * self.scores.of_sample[rows], size**2 * self.scores.of_sample_variance[rows]
+        # Rounding errors of changes may leave less than nothing.
+        variance = size**2 * np.maximum(self.scores.of_sample_variance[rows], 0.0)
+        score = size * self.scores.of_sample[rows]
         for place, known in self._known_at(rows, jumps=False):
             without = 1.0 / float(known.left[0, 0])
             at = (place, known.source.output)
