@@ -93,7 +93,10 @@ class Search:
         self._taken.update([*added])
         touched = self.scores.change([*gone], added)
         if self.scores.are_known:
-            self._judge(touched)
+            try:
+                self._judge(touched)
+            except np.linalg.LinAlgError:  # rounding errors of changes leave no variance
+                self.scores.are_known = False
 
     @property
     def gained(self) -> tuple[Array, Array, Array]:
