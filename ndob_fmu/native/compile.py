@@ -74,7 +74,7 @@ PLATFORMS: Mapping[str, Platform] = {
         ("aarch64-linux-gnu-gcc",),
     ),
 }
-_OPTIONS = ("-std=c11", "-O2", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
+_OPTIONS = ("-std=c11", "-Os", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
 
 
 def this_platform() -> str:

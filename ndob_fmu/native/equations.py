@@ -8,6 +8,7 @@ from ndob_fmu.codegen.emit_c import emit_c
 from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.model.model import Model
 from ndob_fmu.native.runtime_code import part
+from ndob_fmu.native.short_code import fast, short
 from ndob_fmu.native.thunks import matrices_thunk, thunk
 from ndob_fmu.native.variable_table import number, quoted
 from ndob_fmu.runtime.equations import Equations
@@ -19,7 +20,7 @@ USED_BY_PRINTED = {"ndob_fmu.runtime.numerics.integrate": ("largest", "next_subs
 def function_texts(model: Model, eq: Equations, names: Sequence[str], more: Sequence[str] = ()) -> list[str]:
     """Return the C texts of the model's functions, each of `names` also as `call_<name>` for translated code.
 
-    more: functions whose thunks the caller writes
+    more: functions of a step, whose thunks the caller writes; compilers make them fast, the others short
 
     Raises ModelError for an expression that has no C form.
     """
@@ -42,7 +43,7 @@ def function_texts(model: Model, eq: Equations, names: Sequence[str], more: Sequ
             return thunk(name, 1, len(getattr(eq.steps, name)(parameters)))
         return thunk(name, *sizes[name])
 
-    return [part("equations.c"), RUNTIME, emit_c(model, [*names, *more]), *map(thunk_of, names)]
+    return [part("equations.c"), RUNTIME, *fast(emit_c(model, more)), *short(emit_c(model, names), *map(thunk_of, names))]
 
 
 def equations_text(eq: Equations, functions: Mapping[str, str], name: str = "set_equations") -> str:

@@ -23,7 +23,7 @@ from ndob_fmu.native.equations import USED_BY_PRINTED, channel_size, equations_t
 from ndob_fmu.native.frozen import frozen_step_text
 from ndob_fmu.native.join import joined
 from ndob_fmu.native.runtime_code import part, places, runtime_texts
-from ndob_fmu.native.short_code import AS_BEFORE, SHORT_CODE
+from ndob_fmu.native.short_code import fast, short
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk
 from ndob_fmu.native.variable_table import number, quoted
@@ -101,7 +101,7 @@ def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:
     printed = _printed(model, lumped(eq), eq)
-    return [channel_size(eq), part("faults.c"), *printed, SHORT_CODE, part("estimate.c"), part("sampled.c"), AS_BEFORE]
+    return [channel_size(eq), *short(part("faults.c")), *printed, *short(part("estimate.c"), part("sampled.c"))]
 
 
 def observer_code(model: Model) -> ComponentCode:
@@ -114,7 +114,7 @@ def observer_code(model: Model) -> ComponentCode:
     own = [places(variables), _sizes(model, eq), _first_places(eq, variables)]
     reading = [part("channel.c")] if eq.channel else []
     around = [part("paper.c"), *own, part("shared.c"), part("call.c"), *reading, part("observer.c")]
-    texts = [*_own_texts(model, eq), SHORT_CODE, *around, AS_BEFORE]
+    texts = [*_own_texts(model, eq), *short(*around)]
     runtime = _runtime({**_TRANSLATED, **_AROUND, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
     return ComponentCode(joined([*runtime, *texts], "start show step possible end"), has_end=True, sizes_state=True)
 
@@ -222,10 +222,10 @@ def _printed(model: Model, eq: Equations, plant: Equations) -> list[str]:
     return [
         *texts,
         converged_step_thunk(gain, of_step),
-        frozen_step_text(gain, of_step, m, p),
-        SHORT_CODE,
-        continued_text(eq, calls),
-        equations_text(eq, functions),
-        equations_text(plant, of_plant or {name: f"call_{name}" for name in _OF_PLANT}, "set_plant"),
-        AS_BEFORE,
+        *fast(frozen_step_text(gain, of_step, m, p)),
+        *short(
+            continued_text(eq, calls),
+            equations_text(eq, functions),
+            equations_text(plant, of_plant or {name: f"call_{name}" for name in _OF_PLANT}, "set_plant"),
+        ),
     ]

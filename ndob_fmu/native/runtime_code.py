@@ -9,20 +9,17 @@ from pathlib import Path
 
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.native.join import joined
-from ndob_fmu.native.short_code import AS_BEFORE, SHORT_CODE
+from ndob_fmu.native.short_code import fast, short
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.translate.print_c import Translation, translate
 
 _HERE = Path(__file__).parent
 _HEADERS = ("nd.h", "nd_loops.h", "nd_pairs.h", "nd_linear.h")
-_ARRAYS = (
-    *(f"nd_{name}.c" for name in ("memory", "views", "make", "entries", "forms", "entrywise", "along", "products")),
-    *(f"nd_{name}.c" for name in ("numbers", "solve", "reflections", "random")),
-)
-# Only few designs call these.
-_SELDOM = ("nd_rotations.c", "nd_eigenvalues.c")
+# What a step consists of.
+_FAST = tuple(f"nd_{name}.c" for name in ("memory", "views", "make", "entries", "entrywise", "products", "reflections"))
+_SHORT = tuple(f"nd_{name}.c" for name in ("forms", "along", "numbers", "solve", "random", "rotations", "eigenvalues"))
 # The C files on arrays, which include the headers beside them.
-ARRAY_FILES = tuple(_HERE / "c" / name for name in (*_ARRAYS, *_SELDOM))
+ARRAY_FILES = tuple(_HERE / "c" / name for name in (*_FAST, *_SHORT))
 
 
 def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
@@ -42,9 +39,8 @@ def runtime_texts(
     """
     only = tuple(f"{module}.{name}" for module, names in wanted.items() for name in names)
     translation = _translation(tuple(wanted), only, tuple(copied), tuple(stored))
-    fast = [_text(name) for name in (*_HEADERS, *_ARRAYS)]
-    short = [_text(name) for name in _SELDOM]
-    return [*fast, translation.header, SHORT_CODE, *short, translation.source, AS_BEFORE]
+    arrays = fast(*map(_text, (*_HEADERS, *_FAST)))
+    return [*arrays, translation.header, *short(*map(_text, _SHORT), translation.source)]
 
 
 def _text(name: str) -> str:

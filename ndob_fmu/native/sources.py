@@ -11,7 +11,7 @@ import fmpy
 
 from ndob_fmu.fmu.rules_header import rules_header
 from ndob_fmu.interface.variables import Variable
-from ndob_fmu.native.short_code import AS_BEFORE, SHORT_CODE
+from ndob_fmu.native.short_code import fast, short
 from ndob_fmu.native.start_values import first_values
 from ndob_fmu.native.variable_table import counts, quoted, variable_table
 
@@ -78,11 +78,9 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         rules_header(),
         _without_local_includes(SHELL / "shell.h"),
         _without_local_includes(_FRONT_SHELL / "utf8.c"),
-        *(_without_local_includes(SHELL / file) for file in _IN_EVERY_STEP),
-        SHORT_CODE,
-        *(_without_local_includes(SHELL / file) for file in seldom),
-        AS_BEFORE,
-        _without_local_includes(SHELL / f"fmi{fmi}.c"),
+        *fast(*(_without_local_includes(SHELL / file) for file in _IN_EVERY_STEP)),
+        *short(*(_without_local_includes(SHELL / file) for file in seldom)),
+        *fast(_without_local_includes(SHELL / f"fmi{fmi}.c")),
     ]
     if fmi == 3:
         parts.append(_unsupported_of_fmi3())

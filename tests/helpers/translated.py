@@ -46,9 +46,9 @@ _SIMPLE = {"double": ctypes.c_double, "int": ctypes.c_int, "bool": ctypes.c_bool
 class Nd(ctypes.Structure):
     _fields_ = [
         ("p", ctypes.POINTER(ctypes.c_double)),
-        ("rank", ctypes.c_int),
-        ("n", ctypes.c_int * 4),
-        ("s", ctypes.c_int * 4),
+        ("n", ctypes.c_int * 3),
+        ("s", ctypes.c_int16 * 3),
+        ("rank", ctypes.c_int16),
     ]
 
 
@@ -196,9 +196,9 @@ class Library:
             return None
         array = np.ascontiguousarray(np.array(value, dtype=float))
         self._alive.append(array)
-        lengths, strides = [*array.shape, 1, 1, 1, 1][:4], [*(s // 8 for s in array.strides), 1, 1, 1, 1][:4]
+        lengths, strides = [*array.shape, 1, 1, 1][:3], [*(s // 8 for s in array.strides), 1, 1, 1][:3]
         pointer = array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        made = Nd(pointer, array.ndim, (ctypes.c_int * 4)(*lengths), (ctypes.c_int * 4)(*strides))
+        made = Nd(pointer, (ctypes.c_int * 3)(*lengths), (ctypes.c_int16 * 3)(*strides), array.ndim)
         self._alive.append(made)
         return ctypes.pointer(made)
 

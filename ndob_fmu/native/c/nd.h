@@ -16,15 +16,15 @@
 #include <stdint.h>
 #include <string.h>
 
-#define ND_RANK 4
+#define ND_RANK 3
 #define ND_MESSAGE 300
 #define ND_END INT32_MAX /* the end of a slice that has none */
 
 typedef struct {
     double *p;
-    int rank;
     int n[ND_RANK];
-    int s[ND_RANK]; /* in numbers, not in bytes */
+    int16_t s[ND_RANK]; /* in numbers, not in bytes: an array of several axes is small */
+    int16_t rank;
 } nd_array;
 typedef nd_array *nd; /* NULL: there is no array */
 
@@ -104,7 +104,11 @@ double nd_at2(nd x, int i, int j);
 void nd_set(nd x, int i, double value);
 nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at);
 nd nd_reversed(nd_arena *a, nd x); /* along the first axis */
-nd nd_row(nd_arena *a, nd x, int i);
+nd nd_row(nd_arena *a, nd x, int i);                    /* x[i] */
+nd nd_column(nd_arena *a, nd x, int i);                 /* x[:, i] */
+nd nd_range(nd_arena *a, nd x, int start, int stop);    /* x[start:stop] */
+nd nd_block(nd_arena *a, nd x, int top, int bottom, int left, int right); /* x[top:bottom, left:right] */
+nd nd_upright(nd_arena *a, nd x);                       /* x[:, None] */
 void nd_put(nd x, nd value);
 void nd_put_number(nd x, double value);
 nd nd_take(nd_arena *a, nd x, nd indices, int axis);

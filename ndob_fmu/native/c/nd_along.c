@@ -22,7 +22,7 @@ static double more_of(int op, double so_far, double x) {
 }
 
 double nd_reduced(int op, nd x) {
-    nd_shape4 o;
+    nd_shape3 o;
     int s[ND_RANK];
     double r = start_of(op);
     if (x->rank == 1) {
@@ -31,9 +31,9 @@ double nd_reduced(int op, nd x) {
     }
     nd_shape_of(x, &o);
     nd_strides_over(x, &o, s);
-    ND_LOOP3(o) {
+    ND_LOOP2(o) {
         const double *row = ND_ROW(x, s);
-        for (int i = 0; i < o.n[3]; i++) r = more_of(op, r, row[i * s[3]]);
+        for (int i = 0; i < o.n[2]; i++) r = more_of(op, r, row[i * s[2]]);
     }
     return op == ND_NORM ? sqrt(r) : r;
 }
@@ -41,7 +41,7 @@ double nd_reduced(int op, nd x) {
 nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
     nd_array like = *x;
     int sr[ND_RANK], sl[ND_RANK], steps;
-    nd_shape4 o;
+    nd_shape3 o;
     if (axis < 0) axis += x->rank;
     for (int i = axis; i + 1 < x->rank; i++) like.n[i] = x->n[i + 1];
     nd r = nd_full(a, x->rank - 1, like.n, start_of(op));
@@ -70,10 +70,10 @@ nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
         nd_slot(&last, x, axis, k);
         nd_strides_over(r, &o, sr);
         nd_strides_over(&last, &o, sl);
-        ND_LOOP3(o) {
+        ND_LOOP2(o) {
             double *to = ND_ROW(r, sr);
             const double *from = ND_ROW(&last, sl);
-            for (int i = 0; i < o.n[3]; i++) to[i] = more_of(op, to[i], from[i * sl[3]]);
+            for (int i = 0; i < o.n[2]; i++) to[i] = more_of(op, to[i], from[i * sl[2]]);
         }
     }
     if (op == ND_NORM)
@@ -130,7 +130,7 @@ nd nd_cumsum(nd_arena *a, nd x) {
 }
 
 nd nd_diff(nd_arena *a, nd x) {
-    return nd_binary(a, ND_SUB, nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, 1, ND_END}}), nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, 0, x->n[0] ? -1 : 0}}));
+    return nd_binary(a, ND_SUB, nd_range(a, x, 1, ND_END), nd_range(a, x, 0, x->n[0] ? -1 : 0));
 }
 
 int nd_searchsorted_right(nd x, double value) {

@@ -46,29 +46,48 @@ void nd_part_of(nd r, nd x, int count, const nd_ix *at) {
     }
     for (; axis < x->rank; axis++) r->n[rank] = x->n[axis], r->s[rank++] = x->s[axis];
     r->p = p;
-    r->rank = rank;
+    r->rank = (int16_t)rank;
     for (; rank < ND_RANK; rank++) r->n[rank] = r->s[rank] = 1;
 }
 
 nd nd_get(nd_arena *a, nd x, int count, const nd_ix *at) {
     nd r = nd_take_bytes(a, sizeof *r);
-    if (x->rank == 1 && count == 1 && at->kind == ND_RANGE) {
-        int start = bounded(at->a, x->n[0]), stop = at->b == ND_END ? x->n[0] : bounded(at->b, x->n[0]);
-        r->p = x->p + start * x->s[0];
-        r->rank = 1;
-        r->n[0] = stop > start ? stop - start : 0;
-        r->s[0] = x->s[0];
-        for (int i = 1; i < ND_RANK; i++) r->n[i] = r->s[i] = 1;
-        return r;
-    }
     nd_part_of(r, x, count, at);
     return r;
 }
 
+/* Have a view show start:stop of an axis. */
+static void narrow(nd r, int axis, int start, int stop) {
+    start = bounded(start, r->n[axis]);
+    stop = stop == ND_END ? r->n[axis] : bounded(stop, r->n[axis]);
+    r->p += start * r->s[axis];
+    r->n[axis] = stop > start ? stop - start : 0;
+}
+
+nd nd_range(nd_arena *a, nd x, int start, int stop) {
+    nd r = nd_same_view(a, x);
+    narrow(r, 0, start, stop);
+    return r;
+}
+
+nd nd_block(nd_arena *a, nd x, int top, int bottom, int left, int right) {
+    nd r = nd_range(a, x, top, bottom);
+    narrow(r, 1, left, right);
+    return r;
+}
+
+nd nd_column(nd_arena *a, nd x, int i) {
+    nd r = nd_take_bytes(a, sizeof *r);
+    nd_slot(r, x, 1, i);
+    return r;
+}
+
+nd nd_upright(nd_arena *a, nd x) { return nd_get(a, x, 2, (nd_ix[]){{ND_RANGE, 0, ND_END}, {ND_NEW, 0, 0}}); }
+
 nd nd_reversed(nd_arena *a, nd x) {
     nd r = nd_same_view(a, x);
     if (x->n[0]) r->p += (x->n[0] - 1) * x->s[0];
-    r->s[0] = -x->s[0];
+    r->s[0] = (int16_t)-x->s[0];
     return r;
 }
 
@@ -81,7 +100,7 @@ nd nd_row(nd_arena *a, nd x, int i) {
 }
 
 void nd_put(nd x, nd value) {
-    nd_shape4 o;
+    nd_shape3 o;
     int sx[ND_RANK], sv[ND_RANK];
     if (nd_same_shape(x, value) && nd_is_compact(x) && nd_is_compact(value)) {
         nd_copy_row(x->p, 1, value->p, 1, nd_size(x));
@@ -99,17 +118,17 @@ void nd_put(nd x, nd value) {
     nd_shape_of(x, &o);
     nd_strides_over(x, &o, sx);
     nd_strides_over(value, &o, sv);
-    ND_LOOP3(o) nd_copy_row(ND_ROW(x, sx), sx[3], ND_ROW(value, sv), sv[3], o.n[3]);
+    ND_LOOP2(o) nd_copy_row(ND_ROW(x, sx), sx[2], ND_ROW(value, sv), sv[2], o.n[2]);
 }
 
 void nd_put_number(nd x, double value) {
-    nd_shape4 o;
+    nd_shape3 o;
     int sx[ND_RANK];
     nd_shape_of(x, &o);
     nd_strides_over(x, &o, sx);
-    ND_LOOP3(o) {
+    ND_LOOP2(o) {
         double *to = ND_ROW(x, sx);
-        for (int i = 0; i < o.n[3]; i++) to[i * sx[3]] = value;
+        for (int i = 0; i < o.n[2]; i++) to[i * sx[2]] = value;
     }
 }
 
@@ -118,7 +137,7 @@ int nd_index_of(nd indices, int i) { return (int)nd_at(indices, i); }
 static nd_ix all_of(void) { return (nd_ix){ND_RANGE, 0, ND_END}; }
 
 void nd_slot(nd r, nd x, int axis, int i) {
-    nd_ix at[ND_RANK] = {all_of(), all_of(), all_of(), all_of()};
+    nd_ix at[ND_RANK] = {all_of(), all_of(), all_of()};
     at[axis] = (nd_ix){ND_AT, i, 0};
     nd_part_of(r, x, axis + 1, at);
 }
@@ -194,7 +213,7 @@ double *nd_write(double *to, nd x) {
     if (nd_is_compact(x)) return (double *)memcpy(to, x->p, sizeof(double) * (size_t)nd_size(x)) + nd_size(x);
     nd_array compact = *x;
     compact.p = to;
-    for (int i = x->rank - 1, s = 1; i >= 0; s *= x->n[i--]) compact.s[i] = s;
+    for (int i = x->rank - 1, s = 1; i >= 0; s *= x->n[i--]) compact.s[i] = (int16_t)s;
     nd_put(&compact, x);
     return to + nd_size(x);
 }

@@ -74,12 +74,12 @@ static void binary_row(int op, int n, double *restrict r, const double *restrict
 /* The rows of small arrays are shorter than a call. */
 #define ND_EVERY(op, value)                                               \
     case op:                                                              \
-        ND_LOOP3(o) {                                                     \
+        ND_LOOP2(o) {                                                     \
             const double *first = ND_ROW(x, sx), *second = ND_ROW(y, sy); \
-            for (int i = 0; i < o.n[3]; i++) {                            \
+            for (int i = 0; i < o.n[2]; i++) {                            \
                 double u = *first, v = *second;                           \
                 *to++ = (value);                                          \
-                first += sx[3], second += sy[3];                          \
+                first += sx[2], second += sy[2];                          \
             }                                                             \
         }                                                                 \
         break;
@@ -96,7 +96,7 @@ nd nd_binary(nd_arena *a, int op, nd x, nd y) {
         binary_row(op, nd_size(r), r->p, x->p, x->rank > 0, y->p, y->rank > 0);
         return r;
     }
-    nd_shape4 sx4, sy4, o;
+    nd_shape3 sx4, sy4, o;
     int sx[ND_RANK], sy[ND_RANK];
     nd_shape_of(x, &sx4);
     nd_shape_of(y, &sy4);
@@ -105,15 +105,15 @@ nd nd_binary(nd_arena *a, int op, nd x, nd y) {
     nd_strides_over(x, &o, sx);
     nd_strides_over(y, &o, sy);
     double *to = r->p;
-    switch (o.n[3] < 8 ? op : -1) {
+    switch (o.n[2] < 8 ? op : -1) {
         ND_EVERY(ND_ADD, u + v)
         ND_EVERY(ND_SUB, u - v)
         ND_EVERY(ND_MUL, u *v)
         ND_EVERY(ND_DIV, u / v)
     default:
-        ND_LOOP3(o) {
-            binary_row(op, o.n[3], to, ND_ROW(x, sx), sx[3], ND_ROW(y, sy), sy[3]);
-            to += o.n[3];
+        ND_LOOP2(o) {
+            binary_row(op, o.n[2], to, ND_ROW(x, sx), sx[2], ND_ROW(y, sy), sy[2]);
+            to += o.n[2];
         }
     }
     return r;
@@ -150,17 +150,17 @@ nd nd_map(nd_arena *a, double (*f)(double), nd x) {
 nd nd_where(nd_arena *a, nd mask, nd x, nd y) {
     /* The sum of all has the shape of the result. */
     nd r = nd_binary(a, ND_ADD, nd_binary(a, ND_ADD, mask, x), y);
-    nd_shape4 o;
+    nd_shape3 o;
     int sm[ND_RANK], sx[ND_RANK], sy[ND_RANK], sr[ND_RANK];
     nd_shape_of(r, &o);
     nd_strides_over(mask, &o, sm);
     nd_strides_over(x, &o, sx);
     nd_strides_over(y, &o, sy);
     nd_strides_over(r, &o, sr);
-    ND_LOOP3(o) {
+    ND_LOOP2(o) {
         double *to = ND_ROW(r, sr);
         const double *m = ND_ROW(mask, sm), *u = ND_ROW(x, sx), *v = ND_ROW(y, sy);
-        for (int i = 0; i < o.n[3]; i++) to[i] = m[i * sm[3]] != 0.0 ? u[i * sx[3]] : v[i * sy[3]];
+        for (int i = 0; i < o.n[2]; i++) to[i] = m[i * sm[2]] != 0.0 ? u[i * sx[2]] : v[i * sy[2]];
     }
     return r;
 }

@@ -20,7 +20,7 @@ nd nd_reshape(nd_arena *a, nd x, int rank, const int *n) {
     for (int i = rank - 1, s = 1; i >= 0; i--) {
         int length = n[i] < 0 ? (known ? size / known : 0) : n[i];
         r->n[i] = length;
-        r->s[i] = s;
+        r->s[i] = (int16_t)s;
         s *= length;
     }
     for (int i = rank; i < ND_RANK; i++) r->n[i] = r->s[i] = 1;
@@ -58,7 +58,7 @@ nd nd_vstack(nd_arena *a, int count, const nd *x) { return stacked(a, 0, count, 
 nd nd_column_stack(nd_arena *a, int count, const nd *x) { return stacked(a, 1, count, x, nd_as_column); }
 
 nd nd_stack(nd_arena *a, int count, const nd *x) {
-    int n[ND_RANK] = {count, 1, 1, 1}, rank = 1;
+    int n[ND_RANK] = {count, 1, 1}, rank = 1;
     for (; count && rank <= x[0]->rank; rank++) n[rank] = x[0]->n[rank - 1];
     nd r = nd_new(a, rank, n);
     for (int i = 0; i < count; i++) {
@@ -87,8 +87,8 @@ nd nd_tile(nd_arena *a, nd x, int times) {
 
 nd nd_delete(nd_arena *a, nd x, int i) {
     nd parts[2];
-    parts[0] = nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, 0, i}});
-    parts[1] = nd_get(a, x, 1, (nd_ix[]){{ND_RANGE, i + 1, ND_END}});
+    parts[0] = nd_range(a, x, 0, i);
+    parts[1] = nd_range(a, x, i + 1, ND_END);
     return nd_concatenate(a, 0, 2, parts);
 }
 
@@ -96,7 +96,7 @@ nd nd_diag(nd_arena *a, nd x) {
     nd r;
     if (x->rank == 2) {
         r = nd_view(a, nd_imin2(x->n[0], x->n[1]), x->p);
-        r->s[0] = x->s[0] + x->s[1];
+        r->s[0] = (int16_t)(x->s[0] + x->s[1]);
         return r;
     }
     r = nd_full(a, 2, (int[]){x->n[0], x->n[0]}, 0.0);

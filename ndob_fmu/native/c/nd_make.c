@@ -5,12 +5,13 @@ nd nd_new(nd_arena *a, int rank, const int *n) {
     nd x = nd_take_bytes(a, sizeof *x);
     int size = 1;
     x->p = (double *)(void *)(x + 1);
-    x->rank = rank;
+    x->rank = (int16_t)rank;
     for (int i = ND_RANK - 1; i >= rank; i--) x->n[i] = x->s[i] = 1;
     for (int i = rank - 1; i >= 0; i--) {
         int length = n[i] > 0 ? n[i] : 0;
         x->n[i] = length;
-        x->s[i] = size;
+        x->s[i] = (int16_t)size;
+        if (i && size > INT16_MAX / (length + 1)) longjmp(*a->full, 1); /* a stride has 16 bits */
         size *= length;
     }
     (void)nd_take_bytes(a, sizeof(double) * (size_t)(size ? size : 1));
@@ -34,7 +35,7 @@ nd nd_vector(nd_arena *a, int n, const double *values) {
 }
 
 nd_array nd_around(int n, const double *values) {
-    nd_array view = {NULL, 1, {n, 1, 1, 1}, {1, 1, 1, 1}};
+    nd_array view = {NULL, {n, 1, 1}, {1, 1, 1}, 1};
     memcpy(&view.p, &values, sizeof values);
     return view;
 }

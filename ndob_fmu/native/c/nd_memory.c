@@ -4,7 +4,7 @@
 #include <stdarg.h>
 #include <stdio.h>
 
-enum { ND_ALIGNMENT = 16 };
+enum { ND_ALIGNMENT = sizeof(double) };
 
 void nd_start(nd_arena *a, void *block, size_t bytes) {
     uintptr_t odd = (uintptr_t)block % ND_ALIGNMENT, skipped = odd ? ND_ALIGNMENT - odd : 0;

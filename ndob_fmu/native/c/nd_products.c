@@ -9,8 +9,8 @@
 
 /* r (rows,columns) in one piece = x (rows,inner) y (inner,columns), for the strides of rows and columns. Two columns at a
    time stay in one register; each sum goes in the order of the terms. */
-static void multiply(double *r, int rows, int inner, int columns, const double *x, const int *sx, const double *y,
-                     const int *sy) {
+static void multiply(double *r, int rows, int inner, int columns, const double *x, const int16_t *sx, const double *y,
+                     const int16_t *sy) {
     int next = sx[1], row = sy[0], column = sy[1];
     for (int i = 0; i < rows; i++, r += columns, x += sx[0]) {
         int j = 0;

@@ -97,9 +97,9 @@ nd_three nd_svd(nd_arena *a, nd A, bool full) {
         }
     }
     if (rank < rows) { /* directions that A does not reach: any that complete the basis */
-        nd known = nd_transposed(a, nd_get(a, U, 1, (nd_ix[]){{ND_RANGE, 0, rank}}));
+        nd known = nd_transposed(a, nd_range(a, U, 0, rank));
         nd Q = nd_orthogonal_rows(a, known, m);
-        nd_put(nd_get(a, U, 1, (nd_ix[]){{ND_RANGE, rank, rows}}), nd_get(a, Q, 1, (nd_ix[]){{ND_RANGE, rank, rows}}));
+        nd_put(nd_range(a, U, rank, rows), nd_range(a, Q, rank, rows));
     }
     return (nd_three){nd_transposed(a, U), S, Vt};
 }

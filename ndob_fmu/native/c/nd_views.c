@@ -22,7 +22,7 @@ bool nd_same_shape(nd x, nd y) {
 nd nd_view_at(nd_arena *a, double *p, int rank) {
     nd x = nd_take_bytes(a, sizeof *x);
     x->p = p;
-    x->rank = rank;
+    x->rank = (int16_t)rank;
     return x;
 }
 
@@ -32,7 +32,7 @@ nd nd_same_view(nd_arena *a, nd x) {
     return r;
 }
 
-void nd_shape_of(nd x, nd_shape4 *r) {
+void nd_shape_of(nd x, nd_shape3 *r) {
     for (int i = 0; i < ND_RANK; i++) {
         int axis = i - ND_RANK + x->rank;
         r->n[i] = axis < 0 ? 1 : x->n[axis];
@@ -40,7 +40,7 @@ void nd_shape_of(nd x, nd_shape4 *r) {
 }
 
 /* The strides of x over a shape, 0 along axes that it does not have or in which its length is one. */
-void nd_strides_over(nd x, const nd_shape4 *over, int *s) {
+void nd_strides_over(nd x, const nd_shape3 *over, int *s) {
     for (int i = 0; i < ND_RANK; i++) {
         int axis = i - ND_RANK + x->rank;
         s[i] = axis < 0 || (x->n[axis] == 1 && over->n[i] != 1) ? 0 : x->s[axis];

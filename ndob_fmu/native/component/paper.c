@@ -49,7 +49,7 @@ static PaperObserverState paper_state(Paper *self, const double *state) {
     given.history.samples = nd_view_of(&self->scratch, count * s.p, samples);
     given.history.samples->rank = 2;
     given.history.samples->n[0] = count, given.history.samples->n[1] = s.p;
-    given.history.samples->s[0] = s.p, given.history.samples->s[1] = 1;
+    given.history.samples->s[0] = (int16_t)s.p, given.history.samples->s[1] = 1;
     given.u = nd_view_of(&self->scratch, s.m, u);
     given.w_hat = nd_view_of(&self->scratch, s.q, u + s.m);
     return given;

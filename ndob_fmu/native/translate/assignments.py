@@ -164,7 +164,7 @@ class Assignments(Loops):
             return
         if any(self.many(part) is not None for part in parts):
             raise self.no(target, "a list of indices along the first axis")
-        place = f"nd_get(arena, {array.text}, {self.indices(target.slice)})"
+        place = self.part_of(array.text, target.slice)
         if is_number(value.kind):
             self.line(f"nd_put_number({place}, {self.as_number(value, FLOAT, target)});")
         else:

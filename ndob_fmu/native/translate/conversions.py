@@ -92,6 +92,11 @@ def entry(text: str, kind: Kind) -> Value:
     return Value(f"(int){text}" if kind == INT else f"({text} != 0.0)" if kind == BOOL else text, kind)
 
 
+def _first_entry(array: str) -> str:
+    row = "nd_row(arena, "
+    return f"nd_at({array.removeprefix(row)}" if array.startswith(row) else f"nd_item({array})"
+
+
 class Conversions:
     """The part of a function's writer that converts values."""
 
@@ -150,7 +155,7 @@ class Conversions:
         """Return a value as a number of a type."""
         value = self.certain(value)
         if isinstance(value.kind, Array):
-            text = f"nd_item({value.text})"
+            text = _first_entry(value.text)
             return text if kind == FLOAT else f"(int){text}" if kind == INT else f"({text} != 0.0)"
         if not is_number(value.kind):
             raise self.no(node, "a number", f"{ast.unparse(node)} of type {value.kind}")
@@ -283,7 +288,7 @@ class Conversions:
         if is_number(value.kind):
             return self.as_number(value, BOOL, node)
         if isinstance(value.kind, Array):
-            return f"(nd_item({value.text}) != 0.0)"
+            return f"({_first_entry(value.text)} != 0.0)"
         if isinstance(value.kind, Table):
             return f"({value.text}.n != 0)"
         if isinstance(value.kind, Listing):

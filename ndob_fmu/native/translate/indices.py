@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from typing import NamedTuple
 
 from ndob_fmu.native.translate.conversions import Conversions, Value, entry
 from ndob_fmu.native.translate.kinds import (
@@ -24,6 +25,23 @@ from ndob_fmu.native.translate.kinds import (
     is_numbers,
 )
 from ndob_fmu.native.translate.refusal import RefusedError
+
+
+class _Index(NamedTuple):
+    """An index of a subscript: how it takes entries of its axis, and the numbers that it says, in C."""
+
+    kind: str
+    bounds: tuple[str, ...]
+
+
+_RANGE, _WHOLE, _AT, _NEW = "range", "whole", "at", "new"
+_GENERAL = {_RANGE: "ND_RANGE", _WHOLE: "ND_RANGE", _AT: "ND_AT", _NEW: "ND_NEW"}
+_SHORT_CALLS = {
+    (_RANGE,): "nd_range",
+    (_AT,): "nd_row",
+    (_WHOLE, _AT): "nd_column",
+    (_WHOLE, _NEW): "nd_upright",
+}
 
 
 def is_reversal(node: ast.expr) -> bool:
@@ -73,7 +91,7 @@ class Indices(Conversions):
         whole = isinstance(node.slice, ast.Slice) or self.kind_if_known(node.slice) == SLICE
         if whole:
             if is_numbers(kind):
-                return Value(f"nd_get(arena, {value.text}, {self.indices(node.slice)})", kind)
+                return Value(self.part_of(value.text, node.slice), kind)
             return self._listed_part(node, value, kind)
         if is_numbers(kind):
             return entry(f"nd_at({value.text}, {self.number(node.slice, INT)})", kind.element)
@@ -117,26 +135,32 @@ class Indices(Conversions):
             return None
         return kind
 
-    def indices(self, node: ast.expr) -> str:
-        """Return a subscript of slices and integers for `nd_get`."""
-        texts = []
-        for part in self.index_list(node):
-            if isinstance(part, ast.Slice):
-                if part.step is not None:
-                    raise self.no(part, "a slice without a step")
-                start = self.number(part.lower, INT) if part.lower else "0"
-                stop = self.number(part.upper, INT) if part.upper else "ND_END"
-                texts.append(f"{{ND_RANGE, {start}, {stop}}}")
-            elif isinstance(part, ast.Constant) and part.value is None:
-                texts.append("{ND_NEW, 0, 0}")
-            else:
-                value = self.expression(part)
-                if value.kind == SLICE:
-                    value = self.held_structure(value)
-                    texts.append(f"{{ND_RANGE, {value.text}.start, {value.text}.stop}}")
-                else:
-                    texts.append(f"{{ND_AT, {self.as_number(value, INT, part)}, 0}}")
-        return f"{len(texts)}, (nd_ix[]){{{', '.join(texts)}}}"
+    def part_of(self, array: str, node: ast.expr) -> str:
+        """Return the part of an array that a subscript of slices and integers names; the usual ones are short calls."""
+        indices = [self._index(part) for part in self.index_list(node)]
+        own = _SHORT_CALLS.get(tuple(index.kind for index in indices))
+        if own is None and all(index.kind in (_RANGE, _WHOLE) for index in indices) and len(indices) == 2:
+            own = "nd_block"
+        if own is not None:
+            bounds = [bound for index in indices for bound in index.bounds if index.kind != _WHOLE or own == "nd_block"]
+            return f"{own}({', '.join(['arena', array, *bounds])})"
+        listed = ", ".join(f"{{{_GENERAL[one.kind]}, {', '.join((*one.bounds, '0', '0')[:2])}}}" for one in indices)
+        return f"nd_get(arena, {array}, {len(indices)}, (nd_ix[]){{{listed}}})"
+
+    def _index(self, part: ast.expr) -> _Index:
+        if isinstance(part, ast.Slice):
+            if part.step is not None:
+                raise self.no(part, "a slice without a step")
+            start = self.number(part.lower, INT) if part.lower else "0"
+            stop = self.number(part.upper, INT) if part.upper else "ND_END"
+            return _Index(_WHOLE if self.whole_axis(part) else _RANGE, (start, stop))
+        if isinstance(part, ast.Constant) and part.value is None:
+            return _Index(_NEW, ())
+        value = self.expression(part)
+        if value.kind == SLICE:
+            value = self.held_structure(value)
+            return _Index(_RANGE, (f"{value.text}.start", f"{value.text}.stop"))
+        return _Index(_AT, (self.as_number(value, INT, part),))
 
     def whole_axis(self, part: ast.expr) -> bool:
         """Return whether an index takes all of an axis."""
@@ -170,7 +194,7 @@ class Indices(Conversions):
                 if not all(self.whole_axis(other) for other in parts if other is not part):
                     raise self.no(node, "a list of indices along one axis, and whole other axes")
                 return Value(f"nd_take(arena, {value.text}, {listed}, {axis})", kind, fresh=True)
-        return Value(f"nd_get(arena, {value.text}, {self.indices(node.slice)})", kind)
+        return Value(self.part_of(value.text, node.slice), kind)
 
     def crossed(self, node: ast.expr) -> tuple[str, str] | None:
         """Return the rows and columns of a subscript np.ix_(rows, columns)."""

@@ -2,7 +2,7 @@
 
 Numbers are `double`, `int` and `bool`. Arrays, and tuples and lists of numbers, are `nd`. Dataclasses and named tuples
 are structures, which functions take by pointer. A list of anything else is a pointer and a count; a value that may be
-None is a structure with a flag, but for arrays, which have a rank of −1 then.
+None is a structure with a flag, but for arrays, which are NULL then.
 """
 
 from __future__ import annotations

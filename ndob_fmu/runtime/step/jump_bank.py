@@ -278,7 +278,7 @@ def signatures_of(newest: Array) -> Array:
     """Return the signatures (rows,6 q2) of both kinds of hypotheses, from responses (rows,4 q2) to jumps."""
     rows = len(newest)
     each = newest.reshape(rows, -1, len(INSTANTS))
-    both = np.zeros((rows, each.shape[1], _KINDS, _NODES))
-    both[:, :, 0, 0] = each[:, :, 0]
-    both[:, :, 1] = each[:, :, 1:]
+    both = np.zeros((rows, each.shape[1], _KINDS * _NODES))
+    both[:, :, 0] = each[:, :, 0]
+    both[:, :, _NODES:] = each[:, :, 1:]
     return both.reshape(rows, -1)
