@@ -43,7 +43,8 @@ def function_texts(model: Model, eq: Equations, names: Sequence[str], more: Sequ
             return thunk(name, 1, len(getattr(eq.steps, name)(parameters)))
         return thunk(name, *sizes[name])
 
-    return [part("equations.c"), RUNTIME, *fast(emit_c(model, more)), *short(emit_c(model, names), *map(thunk_of, names))]
+    of_steps, others = fast(emit_c(model, more)), short(emit_c(model, names), *map(thunk_of, names))
+    return [part("equations.c"), RUNTIME, *of_steps, *others]
 
 
 def equations_text(eq: Equations, functions: Mapping[str, str], name: str = "set_equations") -> str:

@@ -68,8 +68,10 @@ _PER_DISTURBANCE = {
     "AT_NOMINAL": "disturbance_nominal",
 }
 # Bytes that design and steps compute in, for each number that the FMU counts. Where they are too few, it takes more.
-_MEMORY_OF_A_NUMBER = 112
-_COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep", "SampledObserverState")
+_MEMORY_OF_A_NUMBER = 88
+_COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep")
+# The ways of a step, whose memory is given back when the state is written.
+_UNMOVED = (f"{_STEP}.sampled_step.step_by_definition", f"{_STEP}.tracking_step.step_with_covariance")
 _PRINTED = (
     "nonlinearity",
     "derivatives",
@@ -96,7 +98,7 @@ def sampled_observer_text(model: Model) -> list[str]:
 
 
 def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list[str]:
-    return runtime_texts(wanted, copied=copied, stored=("SampledObserverState",))
+    return runtime_texts(wanted, copied=copied, stored=("SampledObserverState",), unmoved=_UNMOVED)
 
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:

@@ -16,10 +16,10 @@ from ndob_fmu.native.translate.print_c import Translation, translate
 _HERE = Path(__file__).parent
 _HEADERS = ("nd.h", "nd_loops.h", "nd_pairs.h", "nd_linear.h")
 # What a step consists of.
-_FAST = tuple(f"nd_{name}.c" for name in ("memory", "views", "make", "entries", "entrywise", "products", "reflections"))
-_SHORT = tuple(f"nd_{name}.c" for name in ("forms", "along", "numbers", "solve", "random", "rotations", "eigenvalues"))
+_FAST = "memory views make entries entrywise products reflections jumps"
+_SHORT = "forms along numbers solve random rotations eigenvalues"
 # The C files on arrays, which include the headers beside them.
-ARRAY_FILES = tuple(_HERE / "c" / name for name in (*_FAST, *_SHORT))
+ARRAY_FILES = tuple(_HERE / "c" / f"nd_{name}.c" for name in f"{_FAST} {_SHORT}".split())
 
 
 def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
@@ -31,16 +31,24 @@ def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> Compon
 
 
 def runtime_texts(
-    wanted: Mapping[str, Sequence[str]], *, copied: Sequence[str] = (), stored: Sequence[str] = ()
+    wanted: Mapping[str, Sequence[str]],
+    *,
+    copied: Sequence[str] = (),
+    stored: Sequence[str] = (),
+    unmoved: Sequence[str] = (),
 ) -> list[str]:
     """Return the C texts of the arrays and of the wanted functions, by full name of their module.
 
-    copied, stored: as `translate`
+    copied, stored, unmoved: as `translate`
     """
     only = tuple(f"{module}.{name}" for module, names in wanted.items() for name in names)
-    translation = _translation(tuple(wanted), only, tuple(copied), tuple(stored))
-    arrays = fast(*map(_text, (*_HEADERS, *_FAST)))
-    return [*arrays, translation.header, *short(*map(_text, _SHORT), translation.source)]
+    translation = _translation(tuple(wanted), only, tuple(copied), tuple(stored), tuple(unmoved))
+    arrays = fast(*map(_text, _HEADERS), *_arrays(_FAST))
+    return [*arrays, translation.header, *short(*_arrays(_SHORT), translation.source)]
+
+
+def _arrays(names: str) -> list[str]:
+    return [_text(f"nd_{name}.c") for name in names.split()]
 
 
 def _text(name: str) -> str:
@@ -49,9 +57,13 @@ def _text(name: str) -> str:
 
 @cache
 def _translation(
-    modules: tuple[str, ...], only: tuple[str, ...], copied: tuple[str, ...], stored: tuple[str, ...]
+    modules: tuple[str, ...],
+    only: tuple[str, ...],
+    copied: tuple[str, ...],
+    stored: tuple[str, ...],
+    unmoved: tuple[str, ...],
 ) -> Translation:
-    translation = translate(modules, "translated", only=only, copied=copied, stored=stored)
+    translation = translate(modules, "translated", only=only, copied=copied, stored=stored, unmoved=unmoved)
     if translation.refused:
         raise ValueError(f"functions that do not translate: {next(iter(translation.refused.values()))}")
     return translation

@@ -61,11 +61,9 @@ class Arena(ctypes.Structure):
         ("base", ctypes.c_void_p),
         ("size", ctypes.c_size_t),
         ("used", ctypes.c_size_t),
-        ("high", ctypes.c_size_t),
         ("full", ctypes.c_void_p),
-        ("tight", ctypes.c_bool),
         ("error", ctypes.c_int),
-        ("message", ctypes.c_char * 300),
+        ("message", ctypes.c_char_p),
     ]
 
 
@@ -105,6 +103,7 @@ class Library:
         subprocess.run(command, check=True)
         self.library = ctypes.CDLL(str(folder / "t.so"))
         self.block = ctypes.create_string_buffer(MEMORY)
+        self.message = ctypes.create_string_buffer(300)
         self.arena = Arena()
 
     def _function_kinds(self) -> list[kinds.Function]:
@@ -285,7 +284,7 @@ class Library:
         self._alive.clear()
         function = getattr(self.library, definition.name)
         self.library.nd_start(ctypes.byref(self.arena), self.block, ctypes.c_size_t(MEMORY))
-        self.arena.tight = True  # so that every result is moved
+        self.arena.message = ctypes.cast(self.message, ctypes.c_char_p)
         given: list[Any] = [ctypes.byref(self.arena)]
         types: list[Any] = [ctypes.c_void_p]
         for value, parameter in zip(arguments, definition.parameters, strict=True):

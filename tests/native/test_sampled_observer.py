@@ -36,6 +36,7 @@ static bool not_a_number(double number) { return !(fabs(number) <= HUGE_VAL); }
 # All arrays of the settings in one, one behind the other, in the order of the fields.
 END = """
 static Sampled observer;
+static double first[1 << 16];
 int begin(void *block, size_t bytes, const double *given, const int *sizes, int order, int adapts) {
     ObserverSettings *s = &observer.settings;
     nd *const fields[] = {&observer.parameters, &s->sensors.noise_std, &s->sensors.delay, &s->sensors.bias_std,
@@ -48,10 +49,10 @@ int begin(void *block, size_t bytes, const double *given, const int *sizes, int 
     s->order = order, s->adapt_noise = adapts != 0;
     s->lag = *given++, s->alpha = *given++, s->pi = *given++;
     nd_array x_hat = nd_around(observer.equations.states.n, given);
-    return sampled_start(&observer, &x_hat);
+    return sampled_start(&observer, &x_hat, first, 1 << 16);
 }
 int first_state(double *state) {
-    sampled_first_state(&observer, state);
+    memcpy(state, first, observer.count * sizeof *first);
     return (int)observer.count;
 }
 int advance_by(double *state, const double *u, const double *y, double step, double *outputs) {
@@ -72,7 +73,7 @@ int advance_in_place(double *state, const double *u, const double *y, double ste
 int has_frozen(const double *state) {
     if (setjmp(observer.full)) return -1;
     observer.scratch.used = 0;
-    return given_state(&observer, state).memory.converged;
+    return given_state(&observer, state)->memory.converged;
 }
 int possible(const double *state) { return sampled_possible(&observer, state); }
 const char *message(void) { return observer.scratch.message; }

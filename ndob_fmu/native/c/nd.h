@@ -2,10 +2,10 @@
 
    An array is a view: a pointer, and for each axis a length and a stride. Slices and transposes share memory with what
    they were taken from, as in NumPy. Code hands on the address of a view, which lies in the block too: that keeps the
-   calls short. A view comes with or behind its numbers. All memory comes from one block, in order; a function gives back what it took when
-   it returns, but for its result (`nd_keep`), unless there is a lot of room. A method that finds no answer sets the error of the block, which translated
-   code looks at after each call that can fail. A block that is too small ends the call of the outermost function: its
-   owner sets `full`. */
+   calls short. A view comes with or behind its numbers. All memory comes from one block, in order; a function gives back
+   what it took when it returns, but for its result (`nd_keep`). A method that finds no answer sets the error of the
+   block, which translated code looks at after each call that can fail. A block that is too small ends the call of the
+   outermost function: its owner sets `full`. */
 #ifndef ND_H
 #define ND_H
 
@@ -30,11 +30,10 @@ typedef nd_array *nd; /* NULL: there is no array */
 
 typedef struct {
     char *base;
-    size_t size, used, high; /* in bytes; `high`: the most that was used */
-    jmp_buf *full;           /* where to go when the block is too small */
-    bool tight;              /* whether functions give back all they took, however much room there is */
-    int error;               /* one of ND_NONE ... */
-    char message[ND_MESSAGE];
+    size_t size, used; /* in bytes */
+    jmp_buf *full;     /* where to go when the block is too small */
+    int error;         /* one of ND_NONE ... */
+    char *message;     /* of ND_MESSAGE bytes; NULL in a block in which nothing raises */
 } nd_arena;
 
 /* The errors of the runtime, by the class that Python raises. */
@@ -65,10 +64,9 @@ typedef struct {
     size_t mark, top;
     int pass;
 } nd_keeping;
-bool nd_has_room(const nd_arena *a, size_t mark);
-bool nd_was_tight(nd_arena *a); /* and is from now on */
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark);
 nd_keeping nd_copy_begin(nd_arena *to);
+nd_keeping nd_forms_begin(nd_arena *to);
 void nd_keep_end(nd_keeping *k);
 bool nd_keep_block(nd_keeping *k, void **p, size_t bytes);
 void nd_keep_shift(nd_keeping *k, void **p);
@@ -120,7 +118,7 @@ nd nd_argwhere(nd_arena *a, nd mask);
 void *nd_room(nd_arena *a, const void *items, int count, size_t bytes);
 void nd_append(nd_arena *a, nd *x, double value);
 
-/* Arrays as numbers one after the other; what is read must have its shape already, and lie in one piece. */
+/* Arrays as numbers one after the other; what is read has its shape already, and shows the numbers where they lie. */
 double *nd_write(double *to, nd x);
 const double *nd_read(const double *from, nd x);
 int nd_truncated(nd_arena *a, double x); /* int(x), an error where x is not finite, at most INT32_MAX */
@@ -209,6 +207,9 @@ int nd_bits(int x);
 int nd_bit_length(int x);
 double nd_factorial(int n);
 double nd_ulp(double x);
+
+/* -- jumps of the disturbance (nd_jumps.c) */
+nd_three nd_with_innovation(nd_arena *a, nd sizes, nd misfit, nd of_jumps, double e, double alpha);
 
 /* -- random numbers (nd_random.c) */
 nd nd_uniforms(nd_arena *a, int seed, double index); /* runtime.blocks.random_numbers.uniforms */

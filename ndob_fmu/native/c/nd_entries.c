@@ -220,7 +220,7 @@ double *nd_write(double *to, nd x) {
 
 const double *nd_read(const double *from, nd x) {
     if (!x) return from;
-    memcpy(x->p, from, sizeof(double) * (size_t)nd_size(x));
+    memcpy(&x->p, &from, sizeof from);
     return from + nd_size(x);
 }
 

@@ -18,6 +18,7 @@ bool nd_is_compact(nd x);
 bool nd_same_shape(nd x, nd y);
 nd nd_view_at(nd_arena *a, double *p, int rank);
 nd nd_same_view(nd_arena *a, nd x);
+nd nd_form_of(nd_arena *a, nd x);
 void nd_shape_of(nd x, nd_shape3 *r);
 void nd_strides_over(nd x, const nd_shape3 *over, int *s);
 void nd_copy_row(double *to, int st, const double *from, int sf, int n);

@@ -18,7 +18,6 @@ void *nd_take_bytes(nd_arena *a, size_t bytes) {
     bytes = (bytes + ND_ALIGNMENT - 1) / ND_ALIGNMENT * ND_ALIGNMENT;
     if (bytes > a->size - a->used) longjmp(*a->full, 1);
     a->used += bytes;
-    if (a->used > a->high) a->high = a->used;
     return p;
 }
 
@@ -29,7 +28,7 @@ void nd_raise(nd_arena *a, int error, const char *format, ...) {
     va_start(arguments, format);
     (void)vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
-    memcpy(a->message, text, sizeof text);
+    if (a->message) memcpy(a->message, text, sizeof text);
 }
 
 static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) {
@@ -37,20 +36,12 @@ static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) 
     return at >= base + from && at < base + to;
 }
 
-/* Whether a function keeps what it took since a mark, because there is room for four times as much: to give it back takes
-   copies of its result. */
-bool nd_has_room(const nd_arena *a, size_t mark) { return !a->tight && 4 * (a->used - mark) <= a->size - a->used; }
-
-bool nd_was_tight(nd_arena *a) {
-    bool tight = a->tight;
-    a->tight = true;
-    return tight;
-}
-
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, 1}; }
 
-/* The one pass of a copy into another block. */
-nd_keeping nd_copy_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, 3}; }
+/* The one pass of a copy into another block, with its numbers or with the shapes of arrays alone. */
+enum { COPY = 3, FORMS };
+nd_keeping nd_copy_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, COPY}; }
+nd_keeping nd_forms_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, FORMS}; }
 
 void nd_keep_end(nd_keeping *k) {
     size_t bytes = k->a->used - k->top;
@@ -60,7 +51,7 @@ void nd_keep_end(nd_keeping *k) {
 
 /* First pass: copy a block that would be given back behind all others. Returns whether a pass copies. */
 bool nd_keep_block(nd_keeping *k, void **p, size_t bytes) {
-    if (bytes && (k->pass == 3 || (k->pass == 1 && is_inside(k->a, *p, k->mark, k->top)))) {
+    if (bytes && (k->pass >= COPY || (k->pass == 1 && is_inside(k->a, *p, k->mark, k->top)))) {
         void *copy = nd_take_bytes(k->a, bytes);
         memcpy(copy, *p, bytes);
         *p = copy;
@@ -76,8 +67,12 @@ void nd_keep_shift(nd_keeping *k, void **p) {
 void nd_keep_array(nd_keeping *k, nd *x) {
     void *p;
     if (!*x) return;
+    if (k->pass == FORMS) {
+        *x = nd_form_of(k->a, *x);
+        return;
+    }
     if (k->pass != 2) {
-        if (k->pass == 3 || is_inside(k->a, (*x)->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
+        if (k->pass == COPY || is_inside(k->a, (*x)->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
         else if (is_inside(k->a, *x, k->mark, k->top)) *x = nd_same_view(k->a, *x);
         return;
     }
@@ -94,7 +89,6 @@ void nd_keep_array(nd_keeping *k, nd *x) {
 static bool is_whole(nd x) { return (void *)x->p == (void *)(x + 1) && nd_is_compact(x); }
 
 nd nd_keep(nd_arena *a, size_t mark, nd x) {
-    if (nd_has_room(a, mark)) return x;
     nd_keeping k = {a, mark, a->used, 1};
     if (x && is_inside(a, x, mark, a->used) && is_whole(x)) {
         size_t bytes = sizeof *x + (size_t)nd_size(x) * sizeof(double);

@@ -32,6 +32,14 @@ nd nd_same_view(nd_arena *a, nd x) {
     return r;
 }
 
+/* An array of that shape in one piece, without numbers. */
+nd nd_form_of(nd_arena *a, nd x) {
+    nd r = nd_same_view(a, x);
+    r->p = NULL;
+    for (int i = x->rank - 1, s = 1; i >= 0; s *= x->n[i--]) r->s[i] = (int16_t)s;
+    return r;
+}
+
 void nd_shape_of(nd x, nd_shape3 *r) {
     for (int i = 0; i < ND_RANK; i++) {
         int axis = i - ND_RANK + x->rank;

@@ -13,9 +13,10 @@ typedef struct {
 static bool in_memory(nd_arena *arena, double *block, size_t bytes, const Job *job, bool (*work)(const Job *)) {
     bool (*volatile hidden_work)(const Job *) = work; /* inlined, its variables would be at the mercy of longjmp */
     jmp_buf full;
+    char message[ND_MESSAGE];
     nd_start(arena, block, bytes);
     arena->full = &full;
-    arena->tight = true;
+    arena->message = message;
     if (setjmp(full) == 0) return hidden_work(job);
     say(job->call->instance, job->status, "memory", "enough for one step", "less", "a defect of this FMU; report it");
     return false;

@@ -16,8 +16,10 @@ typedef struct {
 
 typedef struct {
     bool is_paper; /* method 1 */
-    Paper paper;
-    Sampled observer;
+    union {
+        Paper paper;
+        Sampled observer;
+    } of; /* the one of the method */
     Equations plant; /* as the model has it: without lumped inputs, and not continued outside its ranges */
     double bound[LUMPED], rate[LUMPED], nominal[LUMPED];
     double estimated[PARAMETERS + 1];
@@ -34,7 +36,7 @@ typedef struct {
 } Core;
 
 static bool fail_in(const Call *call, const Core *core, int error, Status status, const char *where) {
-    const nd_arena *scratch = core->is_paper ? &core->paper.scratch : &core->observer.scratch;
+    const nd_arena *scratch = core->is_paper ? &core->of.paper.scratch : &core->of.observer.scratch;
     if (error > 0) return fail(call, scratch, status, where);
     say(call->instance, status, "memory", "enough for the design", "less", "the host has no more memory");
     return false;
@@ -90,7 +92,7 @@ static void join(char *line, size_t size, const char *const names[], int count, 
 
 /* Say which offsets of sensors a constant disturbance explains as well. */
 static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
-    Sampled *self = &core->observer;
+    Sampled *self = &core->of.observer;
     if (core->has_warned) return;
     nd biased = nd_new(&self->scratch, 1, (int[]){OUTPUTS});
     int count = 0;
@@ -113,7 +115,7 @@ static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
 
 /* Find which parameters are estimated; say which cannot be told from a disturbance and are not. */
 static void choose_estimated(const Call *call, Core *core, nd x_hat) {
-    Sampled *self = &core->observer;
+    Sampled *self = &core->of.observer;
     nd uncertain = nd_new(&self->scratch, 1, (int[]){PARAMETERS});
     int count = 0;
     for (int i = 0; i < PARAMETERS; i++) {
@@ -142,9 +144,9 @@ static void choose_estimated(const Call *call, Core *core, nd x_hat) {
 
 /* Say where the rate of the disturbance or the step is absurd for the plant; a failure to find out is no failure. */
 static void warn_of_pace(const Call *call, Core *core, double H) {
-    Sampled *self = &core->observer;
+    Sampled *self = &core->of.observer;
     char line[MESSAGE_SIZE];
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return;
+    if (setjmp(self->full)) return;
     self->scratch.used = 0;
     nd_array x_hat = values_at(call, AT_HAT_START, STATES), bound = values_at(call, AT_BOUND, DISTURBANCES);
     nd_array rate = values_at(call, AT_RATE, DISTURBANCES);
@@ -205,7 +207,7 @@ static void warn_of_ranges(const Call *call, Core *core) {
 /* -- calls */
 
 static void take_settings(const Call *call, Core *core) {
-    Sampled *self = &core->observer;
+    Sampled *self = &core->of.observer;
     ObserverSettings *settings = &self->settings;
     nd_arena *memory = &self->lasting;
     set_equations(&self->equations, &self->lasting);
@@ -241,7 +243,7 @@ static int lump_disturbances(const Call *call, Core *core, nd_arena *arena) {
 }
 
 static int check_in_memory(const Call *call, Core *core, nd x_hat) {
-    Sampled *self = &core->observer;
+    Sampled *self = &core->of.observer;
     if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     if (lump_disturbances(call, core, &self->scratch)) return self->scratch.error;
     warn_of_offsets(call, core, x_hat);
@@ -252,11 +254,11 @@ static int check_in_memory(const Call *call, Core *core, nd x_hat) {
 }
 
 #if CHANNEL
-static nd_arena *scratch_of(Core *core) { return core->is_paper ? &core->paper.scratch : &core->observer.scratch; }
+static nd_arena *scratch_of(Core *core) { return core->is_paper ? &core->of.paper.scratch : &core->of.observer.scratch; }
 
-static nd_arena *lasting_of(Core *core) { return core->is_paper ? &core->paper.lasting : &core->observer.lasting; }
+static nd_arena *lasting_of(Core *core) { return core->is_paper ? &core->of.paper.lasting : &core->of.observer.lasting; }
 
-static jmp_buf *full_of(Core *core) { return core->is_paper ? &core->paper.full : &core->observer.full; }
+static jmp_buf *full_of(Core *core) { return core->is_paper ? &core->of.paper.full : &core->of.observer.full; }
 
 static int start_channel(const Call *call, Core *core, double *state) {
     if (setjmp(*full_of(core))) return SAMPLED_NO_MEMORY;
@@ -270,13 +272,13 @@ static int start_channel(const Call *call, Core *core, double *state) {
 static int read_channel(Core *core, double H, double *state) {
     if (setjmp(*full_of(core))) return SAMPLED_NO_MEMORY;
     scratch_of(core)->used = 0;
-    nd u = core->is_paper ? paper_state(&core->paper, state).u : given_state(&core->observer, state).u;
+    nd u = core->is_paper ? paper_state(&core->of.paper, state).u : given_state(&core->of.observer, state)->u;
     return channel_read(&core->channel, scratch_of(core), core->outputs, u, H, state + core->count, core->outputs);
 }
 #endif
 
 static int gains_of_paper(const Call *call, Core *core) {
-    Paper *self = &core->paper;
+    Paper *self = &core->of.paper;
     if (setjmp(self->full)) return PAPER_NO_MEMORY;
     if (lump_disturbances(call, core, &self->scratch)) return self->scratch.error;
     nd_array noise_std = values_at(call, AT_NOISE_STD, OUTPUTS), bound = nd_around(LUMPED, core->bound);
@@ -286,7 +288,7 @@ static int gains_of_paper(const Call *call, Core *core) {
 }
 
 static int start_paper(const Call *call, Core *core, double *state) {
-    Paper *self = &core->paper;
+    Paper *self = &core->of.paper;
     nd_array x_hat = values_at(call, AT_HAT_START, STATES);
     memset(self, 0, sizeof *self);
     paper_memory(self, core->memory, core->size);
@@ -301,7 +303,7 @@ static int start_paper(const Call *call, Core *core, double *state) {
 }
 
 static int start_sampled(const Call *call, Core *core, double *state) {
-    Sampled *self = &core->observer;
+    Sampled *self = &core->of.observer;
     nd_array x_hat = values_at(call, AT_HAT_START, STATES);
     memset(self, 0, sizeof *self);
     sampled_memory(self, core->memory, core->size);
@@ -315,11 +317,9 @@ static int start_sampled(const Call *call, Core *core, double *state) {
     core->is_counted = true;
 #endif
     int error = check_in_memory(call, core, &x_hat);
-    if (!error) error = sampled_start(self, &x_hat);
-    if (error) return error;
+    if (!error) error = sampled_start(self, &x_hat, state, NUMBERS);
     core->count = self->count;
-    if (core->count <= NUMBERS) sampled_first_state(self, state);
-    return ND_NONE;
+    return error;
 }
 
 /* Make the observer in so much memory, or in more where that is too little, with its first state. */
@@ -334,6 +334,7 @@ static int make(const Call *call, Core *core, size_t size, double *state) {
 #endif
         size *= 2;
     } while (error == SAMPLED_NO_MEMORY);
+    if (!error && !core->is_paper) move_scratch(&core->of.observer);
     return error;
 }
 
@@ -374,8 +375,8 @@ static bool show(const Call *call) {
     Core *core = call->core;
     double *numbers_now = ((State *)call->state)->numbers;
     nd_array y = values_at(call, INPUTS, OUTPUTS);
-    int error = core->is_paper ? paper_show(&core->paper, numbers_now, &y, core->outputs)
-                               : sampled_show(&core->observer, numbers_now,
+    int error = core->is_paper ? paper_show(&core->of.paper, numbers_now, &y, core->outputs)
+                               : sampled_show(&core->of.observer, numbers_now,
                                               FEEDTHROUGH && !CHANNEL ? call->values : NULL, &y, core->outputs);
 #if CHANNEL
     if (!error) error = read_channel(core, 0.0, numbers_now);
@@ -392,8 +393,8 @@ static int advance_once(const Call *call, Core *core, double step_size) {
     size_t size = numbers_used(core) * sizeof(double);
     memcpy(core->before, numbers_now, size);
 #endif
-    int error = core->is_paper ? paper_step(&core->paper, numbers_now, &u, &y, step_size, core->outputs)
-                               : sampled_step(&core->observer, numbers_now, &u, &y, step_size, core->outputs);
+    int error = core->is_paper ? paper_step(&core->of.paper, numbers_now, &u, &y, step_size, core->outputs)
+                               : sampled_step(&core->of.observer, numbers_now, &u, &y, step_size, core->outputs);
 #if CHANNEL
     if (!error) error = read_channel(core, step_size, numbers_now);
     if (error) memcpy(numbers_now, core->before, size);
@@ -433,6 +434,6 @@ static bool possible(const Call *call, double begin, double now) {
     State *state = call->state;
     if (!finite_numbers(state->numbers + core->count, numbers_used(core) - core->count)) return false;
     if (state->count != (double)numbers_used(core)) return false;
-    return core->is_paper ? paper_possible(&core->paper, state->numbers, now - begin)
-                          : sampled_possible(&core->observer, state->numbers);
+    return core->is_paper ? paper_possible(&core->of.paper, state->numbers, now - begin)
+                          : sampled_possible(&core->of.observer, state->numbers);
 }

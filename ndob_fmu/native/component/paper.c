@@ -9,6 +9,7 @@ typedef struct {
     PaperObserver observer;
     nd_arena lasting, scratch;
     jmp_buf full;
+    char message[ND_MESSAGE];
 } Paper;
 
 enum { PAPER_NO_MEMORY = -1, PAPER_SAMPLES = 6 }; /* samples that a polynomial of degree 2 is chosen from */
@@ -18,6 +19,7 @@ void paper_memory(Paper *self, void *block, size_t bytes) {
     nd_start(&self->lasting, block, bytes / 4);
     nd_start(&self->scratch, (char *)block + bytes / 4, bytes - bytes / 4);
     self->lasting.full = self->scratch.full = &self->full;
+    self->scratch.message = self->message;
 }
 
 /* A state as numbers: x, the time since the start, how many samples, their ages, the samples, u, w. */
@@ -74,8 +76,7 @@ static void write_paper_state(Paper *self, const PaperObserverState *from, doubl
 int paper_start(Paper *self, double pi_start, double pi_end, double ramp_time, double alpha, nd noise_std, nd bound,
                 nd nominal) {
     PiSchedule schedule = {pi_start, pi_end, ramp_time};
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return PAPER_NO_MEMORY;
+    if (setjmp(self->full)) return PAPER_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PiSchedule___post_init__(&self->scratch, &schedule);
@@ -89,15 +90,13 @@ int paper_start(Paper *self, double pi_start, double pi_end, double ramp_time, d
 /* Write the state that starts from an estimate. */
 void paper_first_state(Paper *self, nd x_hat, double *state) {
     self->scratch.used = 0;
-    self->scratch.tight = true;
     PaperObserverState first = PaperObserver_init(&self->scratch, &self->observer, x_hat);
     write_paper_state(self, &first, state);
 }
 
 /* Advance a state by H from a sample y, with the input u held. `outputs`: the fields of Estimate but for x_at_sample. */
 int paper_step(Paper *self, double *state, nd u, nd y, double H, double *outputs) {
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return PAPER_NO_MEMORY;
+    if (setjmp(self->full)) return PAPER_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);
@@ -109,8 +108,7 @@ int paper_step(Paper *self, double *state, nd u, nd y, double H, double *outputs
 
 /* What is known at a sample before any step from it. */
 int paper_show(Paper *self, const double *state, nd y, double *outputs) {
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return PAPER_NO_MEMORY;
+    if (setjmp(self->full)) return PAPER_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);
@@ -122,8 +120,7 @@ int paper_show(Paper *self, const double *state, nd y, double *outputs) {
 /* Whether numbers can be a state, `elapsed` s after the start. */
 bool paper_possible(Paper *self, const double *state, double elapsed) {
     PaperSizes s = paper_sizes(self);
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return false;
+    if (setjmp(self->full)) return false;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);

@@ -18,7 +18,7 @@ struct Sampled {
     nd parameters;
     ObserverSettings settings;
     PreparedObserver prepared;
-    SampledObserverState shape; /* the first state, also for the lengths of its arrays */
+    SampledObserverState form; /* of a state, whose arrays show the numbers of the one that was given last */
     Tuned tuned;
     StepDesign design;
     m_ConvergedStep converged;
@@ -26,6 +26,7 @@ struct Sampled {
     nd_arena lasting, scratch;
     Kept of_tuned, of_design, of_converged;
     jmp_buf full;
+    char message[ND_MESSAGE];
     const double *values; /* of the variables, for the two functions below */
     bool (*recall)(Sampled *self, double H, nd none); /* take the tuning over from an instance like this one, or NULL */
     void (*publish)(const Sampled *self, double H);   /* hand it to others */
@@ -35,16 +36,24 @@ enum { SAMPLED_NO_MEMORY = -1 };
 
 /* Divide a block of memory: more than half of it to compute in. */
 void sampled_memory(Sampled *self, void *block, size_t bytes) {
-    nd_arena *const parts[] = {&self->lasting, &self->of_tuned.memory, &self->of_design.memory,
-                               &self->of_converged.memory, &self->scratch};
-    static const size_t shares[] = {5, 2, 3, 3, 19}; /* of 32 */
+    nd_arena *const parts[] = {&self->lasting, &self->scratch, &self->of_converged.memory, &self->of_design.memory,
+                               &self->of_tuned.memory};
+    static const size_t shares[] = {3, 21, 3, 3, 2}; /* of 32 */
     char *begin = block;
     for (size_t i = 0; i < 5; begin += bytes / 32 * shares[i], i++) {
         nd_start(parts[i], begin, bytes / 32 * shares[i]);
         parts[i]->full = &self->full;
     }
+    self->scratch.message = self->message;
 }
 
+/* Compute directly behind what lasts: pages of memory that nothing touches cost nothing. */
+static void move_scratch(Sampled *self) {
+    size_t unused = self->lasting.size - self->lasting.used;
+    self->lasting.size -= unused;
+    self->scratch.base -= unused;
+    self->scratch.size += unused;
+}
 
 static bool is_kept(const Kept *kept, double H, double tuned_at, nd noise) {
     return kept->some && kept->H == H && kept->tuned_at == tuned_at && nd_equal(kept->noise, noise);
@@ -110,16 +119,19 @@ static const m_ConvergedStep *converged_for(Sampled *self, double H, double tune
     return &self->converged;
 }
 
-static SampledObserverState given_state(Sampled *self, const double *state) {
-    SampledObserverState given = copied_SampledObserverState(&self->scratch, self->shape);
-    (void)read_SampledObserverState(state, &given);
-    return given;
+static const SampledObserverState *given_state(Sampled *self, const double *state) {
+    (void)read_SampledObserverState(state, &self->form);
+    return &self->form;
 }
 
-/* What is left of the memory: it has room for a state, because every step takes copies of it there. */
-static double *room_of(const Sampled *self) { return (double *)(void *)(self->scratch.base + self->scratch.used); }
+/* Write a state that may have parts of the one that it replaces. */
+static void put_state(Sampled *self, double *state, const SampledObserverState *after) {
+    double *numbers = nd_take_bytes(&self->scratch, self->count * sizeof(double));
+    (void)write_SampledObserverState(numbers, after);
+    memcpy(state, numbers, self->count * sizeof(double));
+}
 
-static void start_in_memory(Sampled *self, size_t mark, nd x_hat) {
+static void start_in_memory(Sampled *self, size_t mark, nd x_hat, double *state, size_t room) {
     self->lasting.used = mark;
     PreparedObserver found =
         preparation_prepared(&self->scratch, &self->equations, self->parameters, &self->settings, x_hat);
@@ -127,8 +139,9 @@ static void start_in_memory(Sampled *self, size_t mark, nd x_hat) {
     self->prepared = copied_PreparedObserver(&self->lasting, found);
     SampledObserverState first = sampled_step_start_state(&self->scratch, &self->prepared, x_hat);
     if (self->scratch.error) return;
-    self->shape = copied_SampledObserverState(&self->lasting, first);
-    self->count = (size_t)(write_SampledObserverState(room_of(self), &self->shape) - room_of(self));
+    self->form = form_of_SampledObserverState(&self->lasting, first);
+    self->count = (size_t)(read_SampledObserverState(state, &self->form) - state);
+    if (self->count <= room) (void)write_SampledObserverState(state, &first);
 }
 
 static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *given, nd u, nd y, double H, double *state,
@@ -141,7 +154,7 @@ static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *giv
     m_p3_SampledObserverState_nd_nd done = sampled_step_step_converged(
         &self->scratch, &common->value, self->prepared.layout.n, given, inputs, H);
     if (self->scratch.error || !done.some) return false;
-    (void)write_SampledObserverState(state, &done.value.v0);
+    put_state(self, state, &done.value.v0);
     double *end = nd_write(outputs, done.value.v1);
     if (CHANNEL) (void)nd_write(end, nd_view(&self->scratch, self->prepared.layout.n, done.value.v2->p));
     return true;
@@ -156,41 +169,36 @@ static bool step_as_kept(Sampled *self, double *state, nd u, nd y, double H, dou
 }
 
 static void step_in_memory(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
-    SampledObserverState given = given_state(self, state);
-    if (step_with_frozen_gain(self, &given, u, y, H, state, outputs) || self->scratch.error) return;
-    double tuned_at = sampled_step_step_to_tune_for(&self->scratch, &self->prepared, &given.memory, H);
+    const SampledObserverState *given = given_state(self, state);
+    if (step_with_frozen_gain(self, given, u, y, H, state, outputs) || self->scratch.error) return;
+    double tuned_at = sampled_step_step_to_tune_for(&self->scratch, &self->prepared, &given->memory, H);
     if (self->scratch.error) return;
     const Tuned *tuned = tuned_for(self, tuned_at);
     if (self->scratch.error) return;
     f_double_double_nd_to_StepDesign design_at = {sampled_design, self};
     p2_SampledObserverState_Estimate done =
-        sampled_step_step_by_definition(&self->scratch, &self->prepared, tuned, design_at, &given, u, y, H);
+        sampled_step_step_by_definition(&self->scratch, &self->prepared, tuned, design_at, given, u, y, H);
     if (self->scratch.error) return;
-    if (write_finite_estimate(&self->scratch, outputs, &done.v1)) (void)write_SampledObserverState(state, &done.v0);
+    if (write_finite_estimate(&self->scratch, outputs, &done.v1)) put_state(self, state, &done.v0);
 }
 
 static int ended(const Sampled *self) { return self->scratch.error; }
 
-/* Make all that the steps have in common, for an estimate to start from. Returns an error of nd.h, whose message
- * `scratch` holds, or SAMPLED_NO_MEMORY. */
-int sampled_start(Sampled *self, nd x_hat) {
+/* Make all that the steps have in common, for an estimate to start from, and the `count` numbers of the first state where
+ * there is room for as many. Returns an error of nd.h, whose message `scratch` holds, or SAMPLED_NO_MEMORY. */
+int sampled_start(Sampled *self, nd x_hat, double *state, size_t room) {
     const size_t mark = self->lasting.used;
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return SAMPLED_NO_MEMORY;
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
-    start_in_memory(self, mark, x_hat);
+    start_in_memory(self, mark, x_hat, state, room);
     return ended(self);
 }
-
-/* Write the `count` numbers of the first state. */
-void sampled_first_state(const Sampled *self, double *state) { (void)write_SampledObserverState(state, &self->shape); }
 
 /* Advance a state by H from a sample y, with the input u held; both lie in one piece. `outputs`: the fields of Estimate
  * but for x_at_sample. */
 int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
     if (!CHANNEL && step_as_kept(self, state, u, y, H, outputs)) return ND_NONE; /* which knows no x at the sample */
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return SAMPLED_NO_MEMORY;
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     step_in_memory(self, state, u, y, H, outputs);
@@ -199,11 +207,10 @@ int sampled_step(Sampled *self, double *state, nd u, nd y, double H, double *out
 
 /* What is known at a sample before any step from it. `u`: the inputs now, or NULL for those of the state. */
 int sampled_show(Sampled *self, const double *state, const double *u, nd y, double *outputs) {
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return SAMPLED_NO_MEMORY;
+    if (setjmp(self->full)) return SAMPLED_NO_MEMORY;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
-    SampledObserverState given = given_state(self, state);
+    SampledObserverState given = *given_state(self, state);
     if (u) given.u = nd_view_of(&self->scratch, nd_len(given.u), u);
     Estimate known = sampled_step_estimate_before_a_step(&self->scratch, &self->prepared, &given, y);
     if (!self->scratch.error) (void)write_estimate(outputs, &known);
@@ -212,10 +219,8 @@ int sampled_show(Sampled *self, const double *state, const double *u, nd y, doub
 
 /* Whether numbers can be a state. */
 bool sampled_possible(Sampled *self, const double *state) {
-    self->scratch.tight = false;
-    if (setjmp(self->full) && nd_was_tight(&self->scratch)) return false;
+    if (setjmp(self->full)) return false;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
-    SampledObserverState given = given_state(self, state);
-    return sampled_step_is_possible_state(&self->scratch, &self->prepared, &given);
+    return sampled_step_is_possible_state(&self->scratch, &self->prepared, given_state(self, state));
 }

@@ -66,6 +66,9 @@ FUNCTIONS: dict[str, Known] = {
 BY_HAND: dict[tuple[str, str], Known] = {
     ("ndob_fmu.runtime.numerics.kalman", "triangular"): Known("nd_triangular", _ONE, ARRAY),
     ("ndob_fmu.runtime.numerics.kalman", "_lower"): Known("nd_tri", (INT,), Array(BOOL)),
+    ("ndob_fmu.runtime.step.jump_bank", "with_innovation"): Known(
+        "nd_with_innovation", (ARRAY, ARRAY, ARRAY, FLOAT, FLOAT), Pack((ARRAY, ARRAY, ARRAY))
+    ),
     ("ndob_fmu.runtime.blocks.random_numbers", "uniforms"): Known("nd_uniforms", (INT, FLOAT), NUMBERS),
 }
 # What is reduced, by functions and methods of arrays.

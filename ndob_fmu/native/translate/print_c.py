@@ -29,7 +29,7 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.program import Definition, Program
 from ndob_fmu.native.translate.refusal import RefusedError
-from ndob_fmu.native.translate.storage import copy_heads, movers, storage
+from ndob_fmu.native.translate.storage import copy_heads, form_heads, movers, storage
 from ndob_fmu.native.translate.world import World
 
 _PREDEFINED = ("nd", "nd_two", "nd_three", "nd_list", "nd_names", "nd_slice")
@@ -60,16 +60,18 @@ def translate(
     only: Collection[str] | None = None,
     copied: Sequence[str] = (),
     stored: Sequence[str] = (),
+    unmoved: Collection[str] = (),
 ) -> Translation:
     """Return the functions and methods of modules, and all that these use, in C.
 
     leave_out: functions, by module and name, that are not tried unless others use them
     only: the functions, by module and name, that are tried besides those that they use; None: all
     copied: the classes with a function `copied_…`, which copies a value into another block of memory
-    stored: the classes with functions `write_…` and `read_…`, for a value as numbers; see `storage`
+    stored: the classes with functions `write_…`, `form_of_…` and `read_…`, for a value as numbers; see `storage`
+    unmoved: the functions, by module and name, that leave it to their callers to give back the memory they took
     """
     program = Program()
-    world = World(program)
+    world = World(program, frozenset(unmoved))
     for one in modules:
         module = program.module(one)
         for own in module.own:
@@ -150,10 +152,11 @@ def _files(
     header += [f"typedef struct {c_type(kind)} {c_type(kind)};" for kind in declared if _is_struct(kind)]
     header += [text for kind in declared if (text := _declaration(world.program, kind))]
     of_storage = storage(world.program, stored)
-    header += ["", *heads, *copy_heads(copied), *of_storage.heads, "", "#endif", ""]
+    header += ["", *heads, *(f"{head};" for head in [*copy_heads(copied), *form_heads(stored)])]
+    header += [*of_storage.heads, "", "#endif", ""]
     source = [f'/* Translated from the runtime; do not edit. */\n#include "{name}.h"', ""]
     source += ["#if !defined __GNUC__ || defined __clang__", "#pragma STDC FP_CONTRACT OFF", "#endif", ""]
-    source += movers(world.program, declared, body, copied)
+    source += movers(world.program, declared, body, copied, stored)
     return "\n".join(header), "\n".join([*source, *of_storage.texts, body])
 
 

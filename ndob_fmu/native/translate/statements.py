@@ -258,7 +258,9 @@ class Statements(Assignments):
         if isinstance(kind, Function):
             raise self.no(node, "a result that is not a function, which lives no longer than what it captured")
         value = self.coerced(self.expression(node.value, kind), kind, node)
-        if is_nd(kind):
+        if self.definition.where in self.world.unmoved:
+            self.line(f"return {value.text};")
+        elif is_nd(kind):
             self.line(f"return nd_keep(arena, mark_, {value.text});")
         elif not holds_memory(self.program, kind):
             name = self.temporary(kind)

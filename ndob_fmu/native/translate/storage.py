@@ -2,7 +2,8 @@
 
 A function's result moves to where its memory began (`keep_…`); what lasts is copied into a block of its own
 (`copied_…`). A state that a host saves becomes numbers, one after the other, without pointers (`write_…`), and is read
-into a value whose arrays have their shapes already (`read_…`): the shapes follow from the parameters alone.
+into a value whose arrays have their shapes already (`form_of_…`, `read_…`): the shapes follow from the parameters
+alone, and the arrays show the numbers where they lie.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ from ndob_fmu.native.translate.refusal import RefusedError
 from ndob_fmu.native.translate.world import holds_memory, keeper
 
 
-def movers(program: Program, kinds: Sequence[Kind], body: str, copied: Sequence[str]) -> list[str]:
+def movers(
+    program: Program, kinds: Sequence[Kind], body: str, copied: Sequence[str], stored: Sequence[str]
+) -> list[str]:
     """Return the functions that keep or copy values of the types, as far as the functions call them."""
     by_word = {word(kind): kind for kind in kinds if holds_memory(program, kind)}
     wanted = re.findall(r"\bkept_(\w+)\(", body)
@@ -54,24 +57,26 @@ def movers(program: Program, kinds: Sequence[Kind], body: str, copied: Sequence[
             visit(one)
         needed.append(word(kind))
 
-    for one in [*wanted, *copied, *(found for found in re.findall(r"\bkeep_(\w+)\(", body))]:
+    for one in [*wanted, *copied, *stored, *(found for found in re.findall(r"\bkeep_(\w+)\(", body))]:
         if one in by_word:
             visit(by_word[one])
     texts = [_keep(program, by_word[one]) for one in needed]
     texts += [_kept(by_word[one]) for one in dict.fromkeys(wanted) if one in by_word]
-    return texts + [_copied(name) for name in copied]
-
-
-def _copied(name: str) -> str:
-    return (
-        f"{name} copied_{name}(nd_arena *to, {name} x) {{\n    nd_keeping k = nd_copy_begin(to);\n"
-        f"    keep_{name}(&k, &x);\n    return x;\n}}\n"
-    )
+    return texts + [
+        f"{head} {{\n    nd_keeping k = nd_{'copy' if head in copy_heads(copied) else 'forms'}_begin(to);\n"
+        f"    keep_{head.split()[0]}(&k, &x);\n    return x;\n}}\n"
+        for head in [*copy_heads(copied), *form_heads(stored)]
+    ]
 
 
 def copy_heads(copied: Sequence[str]) -> list[str]:
     """Return the heads of the functions that copy."""
-    return [f"{name} copied_{name}(nd_arena *to, {name} x);" for name in copied]
+    return [f"{name} copied_{name}(nd_arena *to, {name} x)" for name in copied]
+
+
+def form_heads(stored: Sequence[str]) -> list[str]:
+    """Return the heads of the functions that make a value of the same form, whose arrays show no numbers yet."""
+    return [f"{name} form_of_{name}(nd_arena *to, {name} x)" for name in stored]
 
 
 def _keep(program: Program, kind: Kind) -> str:
@@ -107,7 +112,6 @@ def _kept(kind: Kind) -> str:
     own = c_type(kind)
     return (
         f"static {own} kept_{word(kind)}(nd_arena *arena, size_t mark, {own} x) {{\n"
-        "    if (nd_has_room(arena, mark)) return x;\n"
         "    nd_keeping k = nd_keep_begin(arena, mark);\n"
         f"    for (; k.pass <= 2; k.pass++) keep_{word(kind)}(&k, &x);\n"
         "    nd_keep_end(&k);\n    return x;\n}\n"

@@ -24,8 +24,9 @@ from ndob_fmu.native.translate.program import Definition, Program
 class World:
     """What the writers of all functions share."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, unmoved: frozenset[str]) -> None:
         self.program = program
+        self.unmoved = unmoved
         self.wanted: list[Definition] = []
         self.kinds: list[Kind] = []
         self.used: set[str] = set()

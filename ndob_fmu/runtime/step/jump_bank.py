@@ -124,19 +124,25 @@ def first_sizes(disturbance_bound: Array) -> Array:
 
 def explained(bank: JumpBank, of_jumps: Array, e: float, alpha: float) -> Explained:
     """Return what an innovation e of the variance α says, where jumps of one add `of_jumps` (6 L q2,) to it."""
+    sizes, misfit, gained = with_innovation(bank.sizes, bank.misfit, of_jumps, e, alpha)
+    return Explained(sizes, misfit, gained)
+
+
+def with_innovation(sizes: Array, misfit: Array, of_jumps: Array, e: float, alpha: float) -> tuple[Array, Array, Array]:
+    """Return the fields of `Explained`; see `explained`."""
     rho = of_jumps.reshape(-1, 1, _NODES)
-    both = (rho @ bank.sizes)[:, 0]
+    both = (rho @ sizes)[:, 0]
     f, r = both[:, :_NODES], e - both[:, _NODES]
     s = (f * f).sum(axis=1) + alpha
     share: Array = np.empty_like(both)
     share[:, :_NODES] = f / (s + np.sqrt(alpha * s))[:, None]
     share[:, _NODES] = -r / s
-    misfit: Array = bank.misfit.copy()
+    misfit = misfit.copy()
     misfit[0] += e * e / alpha
     misfit[1] += r * r / s
     misfit[2] += 1.0
-    along = bank.sizes[:, :, :_NODES] @ f[:, :, None]
-    return Explained(bank.sizes - along * share[:, None, :], misfit, -0.5 * np.log(s / alpha))
+    along = sizes[:, :, :_NODES] @ f[:, :, None]
+    return sizes - along * share[:, None, :], misfit, -0.5 * np.log(s / alpha)
 
 
 def if_used(bank: JumpBank, told: Explained) -> JumpBank:
