@@ -69,9 +69,9 @@ def _guid(root: ET.Element, contents: Mapping[str, bytes]) -> str:
 
 def write_archive(path: Path, contents: Mapping[str, bytes]) -> None:
     """Write the archive `path` with these files, by their path in it."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
+    with zipfile.ZipFile(path, "w") as packed:
         for name in sorted(contents):
             entry = zipfile.ZipInfo(name, _FIXED_TIME)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system, entry.external_attr = 3, 0o100644 << 16  # as from Unix, wherever the build runs
-            packed.writestr(entry, contents[name])
+            packed.writestr(entry, contents[name], compresslevel=9)

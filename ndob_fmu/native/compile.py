@@ -54,7 +54,9 @@ PLATFORMS: Mapping[str, Platform] = {
         ("win64", "x86_64-windows"),
         ".dll",
         ("x86_64-windows-gnu",),
-        ("-D_WIN32_WINNT=0x0601", "-D__USE_MINGW_ANSI_STDIO=1"),
+        # longjmp goes back to where it was without the tables for unwinding, which take a twentieth of the library.
+        ("-D_WIN32_WINNT=0x0601", "-D__USE_MINGW_ANSI_STDIO=1", "-D__USE_MINGW_SETJMP_NON_SEH")
+        + ("-fno-asynchronous-unwind-tables",),
         ("win32", "AMD64"),
         ("x86_64-w64-mingw32-gcc", "-static", "-Wl,--no-insert-timestamp", "-Wl,--disable-auto-image-base"),
     ),

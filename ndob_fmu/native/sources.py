@@ -24,8 +24,12 @@ _HEADER_FILES = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
+_TEXT_OR_COMMENT = re.compile(r'(?s)(?P<text>"(?:[^"\\\n]|\\.)*")|/\*.*?\*/')
 _BEGINNING = """\
-/* {name}, written by ndob-fmu; do not edit. C99, without any library but the compiler's own. */
+/* {name}, written by ndob-fmu; do not edit. C99, without any library but the compiler's own.
+ *
+ * One file, without comments, so that FMUs are small: ndob_fmu/native and ndob_fmu/runtime have the texts that it is made
+ * of, with their comments. */
 
 /* A product and a sum are rounded one after the other, as everywhere: fused, they would give other bits. */
 #if defined(__GNUC__) && !defined(__clang__)
@@ -86,8 +90,20 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         parts.append(_unsupported_of_fmi3())
     elif code.sizes_state:
         parts.append(_without_local_includes(SHELL / "many_steps.c"))
-    headers = {file: (HEADERS / file).read_text("utf-8") for file in _HEADER_FILES[fmi]}
-    return {f"{name}.c": "\n".join(parts), **headers}
+    headers = {file: _with_its_licence((HEADERS / file).read_text("utf-8")) for file in _HEADER_FILES[fmi]}
+    begun, *others = parts
+    return {f"{name}.c": f"{begun}\n{_without_comments(others)}", **headers}
+
+
+def _without_comments(texts: Sequence[str]) -> str:
+    without = re.sub(_TEXT_OR_COMMENT, lambda found: found["text"] or "", "\n".join(texts))
+    return re.sub(r"\s*\n\s*\n", "\n\n", re.sub(r"[ \t]+\n", "\n", without))
+
+
+def _with_its_licence(header: str) -> str:
+    """Return a header of FMI without its comments but for the licence."""
+    licence = next(found[0] for found in re.finditer(_TEXT_OR_COMMENT, header) if "Copyright" in found[0])
+    return f"/* {licence[licence.index('Copyright') :]}\n{_without_comments([header])}"
 
 
 def _without_local_includes(path: Path) -> str:

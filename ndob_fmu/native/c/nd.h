@@ -11,6 +11,7 @@
 
 #include <math.h>
 #include <setjmp.h>
+#include <stdarg.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -72,10 +73,13 @@ bool nd_keep_block(nd_keeping *k, void **p, size_t bytes);
 void nd_keep_shift(nd_keeping *k, void **p);
 void nd_keep_array(nd_keeping *k, nd *x);
 nd nd_keep(nd_arena *a, size_t mark, nd x);
+void nd_keep_parts(nd_arena *a, size_t mark, void *x, void (*keep)(nd_keeping *k, void *x)); /* of a structure */
 
 /* -- making arrays */
 nd nd_new(nd_arena *a, int rank, const int *n); /* not initialised */
 nd nd_full(nd_arena *a, int rank, const int *n, double value);
+nd nd_filled(nd_arena *a, int n, double value); /* of one axis */
+nd nd_filled2(nd_arena *a, int rows, int columns, double value);
 nd nd_full_like(nd_arena *a, nd x, double value);
 nd nd_scalar(nd_arena *a, double value);
 nd nd_vector(nd_arena *a, int n, const double *values);
@@ -129,6 +133,8 @@ nd nd_transposed(nd_arena *a, nd x);
 nd nd_permuted(nd_arena *a, nd x, const int *axes);
 nd nd_reshape(nd_arena *a, nd x, int rank, const int *n); /* one length may be -1 */
 nd nd_concatenate(nd_arena *a, int axis, int count, const nd *x);
+nd nd_joined(nd_arena *a, int axis, nd x, nd y);
+nd nd_beside(nd_arena *a, nd x, nd y);
 nd nd_hstack(nd_arena *a, int count, const nd *x);
 nd nd_vstack(nd_arena *a, int count, const nd *x);
 nd nd_column_stack(nd_arena *a, int count, const nd *x);
@@ -172,6 +178,12 @@ bool nd_equal(nd x, nd y);
 nd nd_matmul(nd_arena *a, nd x, nd y);
 nd nd_tensordot1(nd_arena *a, nd x, nd y); /* the last axis of x with the first of y */
 nd nd_rhk_hkj(nd_arena *a, nd x, nd y);    /* einsum("rhk,hkj->rhj") */
+
+/* -- text (nd_text.c) */
+/* As printf, with %s, %d, %e, %f and %g, their precision, and +. */
+void nd_print(char *to, size_t size, const char *format, ...);
+void nd_print_of(char *to, size_t size, const char *format, va_list arguments);
+void nd_shortest(char *to, size_t size, double number); /* the fewest digits that give the number back, as repr */
 
 int nd_find(int n, const char *const *names, const char *name);
 

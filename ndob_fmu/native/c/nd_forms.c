@@ -44,6 +44,10 @@ nd nd_concatenate(nd_arena *a, int axis, int count, const nd *x) {
 
 nd nd_hstack(nd_arena *a, int count, const nd *x) { return nd_concatenate(a, x[0]->rank == 1 ? 0 : 1, count, x); }
 
+nd nd_joined(nd_arena *a, int axis, nd x, nd y) { return nd_concatenate(a, axis, 2, (nd[]){x, y}); }
+
+nd nd_beside(nd_arena *a, nd x, nd y) { return nd_hstack(a, 2, (nd[]){x, y}); }
+
 static nd stacked(nd_arena *a, int axis, int count, const nd *x, void (*form)(nd, nd)) {
     nd *forms = nd_take_bytes(a, sizeof(nd) * (size_t)count);
     for (int i = 0; i < count; i++) {

@@ -24,6 +24,10 @@ nd nd_full(nd_arena *a, int rank, const int *n, double value) {
     return x;
 }
 
+nd nd_filled(nd_arena *a, int n, double value) { return nd_full(a, 1, &n, value); }
+
+nd nd_filled2(nd_arena *a, int rows, int columns, double value) { return nd_full(a, 2, (int[]){rows, columns}, value); }
+
 nd nd_full_like(nd_arena *a, nd x, double value) { return nd_full(a, x->rank, x->n, value); }
 
 nd nd_scalar(nd_arena *a, double value) { return nd_full(a, 0, NULL, value); }

@@ -1,9 +1,6 @@
 /* The block of memory, and how results move in it. */
 #include "nd_loops.h"
 
-#include <stdarg.h>
-#include <stdio.h>
-
 enum { ND_ALIGNMENT = sizeof(double) };
 
 void nd_start(nd_arena *a, void *block, size_t bytes) {
@@ -26,7 +23,7 @@ void nd_raise(nd_arena *a, int error, const char *format, ...) {
     va_list arguments;
     a->error = error;
     va_start(arguments, format);
-    (void)vsnprintf(text, sizeof text, format, arguments);
+    nd_print_of(text, sizeof text, format, arguments);
     va_end(arguments);
     if (a->message) memcpy(a->message, text, sizeof text);
 }
@@ -83,6 +80,12 @@ void nd_keep_array(nd_keeping *k, nd *x) {
     p = *x;
     nd_keep_shift(k, &p);
     *x = p;
+}
+
+void nd_keep_parts(nd_arena *a, size_t mark, void *x, void (*keep)(nd_keeping *, void *)) {
+    nd_keeping k = nd_keep_begin(a, mark);
+    for (; k.pass <= 2; k.pass++) keep(&k, x);
+    nd_keep_end(&k);
 }
 
 /* Whether the numbers follow their view, as `nd_new` puts them. */

@@ -118,12 +118,12 @@ static bool read_profile(const Call *call, Core *core) {
         first = false;
         number++;
         if (!numbers_there) {
-            snprintf(message, sizeof message, ", data row %u", (unsigned)number);
+            nd_print(message, sizeof message, ", data row %d", (int)number);
             char received[TEXT_SIZE];
-            snprintf(received, sizeof received, "'%.900s'", row);
+            nd_print(received, sizeof received, "'%.900s'", row);
             good = refuse_profile(call, message, "two finite numbers, time and value", received, "");
         } else if (count && !(time > core->rows[count - 1])) {
-            snprintf(message, sizeof message, "%g after %g", time, core->rows[count - 1]);
+            nd_print(message, sizeof message, "%g after %g", time, core->rows[count - 1]);
             good = refuse_profile(call, "", "times that ascend", message, "");
         } else {
             core->rows[count] = time;

@@ -72,8 +72,6 @@ static void end(void *memory) {
 #endif
 }
 
-#include <stdio.h>
-
 static nd_array values_at(const Call *call, int first, int count) { return nd_around(count, call->values + first); }
 
 /* The same as a part of what lasts. */
@@ -105,7 +103,7 @@ static void warn_of_offsets(const Call *call, Core *core, nd x_hat) {
         const char *name = self->equations.outputs.p[(int)nd_at(found, k)];
         char line[MESSAGE_SIZE] = "", disturbances[MESSAGE_SIZE] = "";
         join(disturbances, sizeof disturbances, core->plant.disturbances.p, DISTURBANCES, " or ");
-        snprintf(line, sizeof line,
+        nd_print(line, sizeof line,
                  "%s_bias_std: in the outputs a constant offset of %s looks like a constant %.300s or another offset; the "
                  "samples cannot tell them apart",
                  name, name, disturbances);
@@ -134,7 +132,7 @@ static void choose_estimated(const Call *call, Core *core, nd x_hat) {
         core->estimated[i] = 0.0;
         if (core->has_warned) continue;
         join(disturbances, sizeof disturbances, core->plant.disturbances.p, DISTURBANCES, " or ");
-        snprintf(line, sizeof line,
+        nd_print(line, sizeof line,
                  "estimate_parameters: %s is not estimated, because a wrong one has the effect of a %.300s; %s_std widens "
                  "the error bars only",
                  name, disturbances, name);
@@ -158,14 +156,14 @@ static void warn_of_pace(const Call *call, Core *core, double H) {
         double omega = nd_at(pace.disturbance, i);
         const char *name = core->plant.disturbances.p[i];
         if (nd_at(judged.too_fast, i) != 0.0) {
-            snprintf(line, sizeof line,
+            nd_print(line, sizeof line,
                      "disturbance_rate lets %s change at %.3g rad/s, %.0f times the plant's fastest mode (%.3g 1/s), so "
                      "that its estimate will be mostly noise",
                      name, omega, omega / pace.fastest, pace.fastest);
             tell(call->instance, WARNING, line);
         }
         if (nd_at(judged.within_a_step, i) != 0.0) {
-            snprintf(line, sizeof line,
+            nd_print(line, sizeof line,
                      "disturbance_rate lets %s change at %.3g rad/s, which samples %g s apart cannot follow: a shorter "
                      "step or a lower rate is needed",
                      name, omega, H);
@@ -173,14 +171,14 @@ static void warn_of_pace(const Call *call, Core *core, double H) {
         }
     }
     if (judged.too_long) {
-        snprintf(line, sizeof line,
+        nd_print(line, sizeof line,
                  "the step of %g s is %.3g times the plant's longest time constant (%.3g s): samples show only what has "
                  "settled; take shorter steps",
                  H, H * pace.slowest, 1.0 / pace.slowest);
         tell(call->instance, WARNING, line);
     }
     if (judged.too_short) {
-        snprintf(line, sizeof line,
+        nd_print(line, sizeof line,
                  "the step of %g s is %.1g of the plant's shortest time constant (%.3g s): samples tell nothing new; "
                  "take longer steps",
                  H, H * pace.fastest, 1.0 / pace.fastest);
@@ -196,7 +194,7 @@ static void warn_of_ranges(const Call *call, Core *core) {
         const char *name = core->plant.states.p[i];
         char line[MESSAGE_SIZE];
         core->has_left[i] = true;
-        snprintf(line, sizeof line,
+        nd_print(line, sizeof line,
                  "the estimate of %s, %.4g, is outside its range, %g to %g: equations are continued by their tangent "
                  "there; if %s has left it too, a wider range is needed",
                  name, value, low, high, name);

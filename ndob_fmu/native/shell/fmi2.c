@@ -3,7 +3,6 @@
 
 #include "fmi2Functions.h"
 
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 

@@ -10,7 +10,7 @@
 #define NUMBER_SIZE 32
 /* The fewest digits that give the number back. */
 static void number_text(double number, char text[NUMBER_SIZE]);
-/* As printf's %g, with a point in every locale. */
+/* As printf's %g. */
 static void short_number_text(double number, char text[NUMBER_SIZE]);
 /* The number of bytes of the first character of UTF-8, 0 if it is invalid. */
 static size_t character(const char *text);

@@ -24,6 +24,7 @@ from ndob_fmu.native.translate.kinds import (
     is_nd,
     is_number,
 )
+from ndob_fmu.native.translate.places import placed, without_steps_between
 from ndob_fmu.native.translate.program import Definition, Parameter
 from ndob_fmu.native.translate.statements import GIVE_BACK, Statements
 from ndob_fmu.native.translate.world import World
@@ -223,6 +224,7 @@ class Writer(Statements):
         kind, lines = self.definition.result, self.lines
         if kind == NOTHING:
             lines.append(GIVE_BACK)
+        lines = _without_needless_keeping(without_steps_between(lines))
         if not any("arena" in line for line in lines if line != GIVE_BACK):
             lines = ["(void)arena;", *(line for line in lines if line != GIVE_BACK)]
         words = {word for line in lines for word in re.findall(r"\w+", line)}
@@ -230,21 +232,26 @@ class Writer(Statements):
         lines = [*(f"(void){own};" for own in unread), *lines]
         result = ["size_t mark_ = arena->used;"] if "mark_" in words else []
         result += [f"{environment} {name};" for environment, name in self.environments]
-        result += self._declarations([name for name in self.declared if name in words])
         result += [f"(void){name};" for name in self.declared if name in words and _only_written(name, lines)]
-        result += lines
+        movable = [name for name in self.declared if name in words and name not in self.zeroed]
+        there = placed([*result, *lines], {name: self._c_type_of(name) for name in movable})
+        left = {*there.left, *self.zeroed}
+        result = [*self._declarations([name for name in self.declared if name in words & left]), *there.lines]
         if "failed_" in self.jumps:
             result.append("failed_:")
         if "failed_" in self.jumps or not lines[-1].startswith("return"):
             result += self._failure(kind)
         return result
 
+    def _c_type_of(self, name: str) -> str:
+        kind = self.declared[name]
+        return kind.text if isinstance(kind, Unknown) else c_type(kind)
+
     def _declarations(self, names: Sequence[str]) -> list[str]:
         """Return the declarations of variables, one for each type."""
         found: dict[str, list[str]] = {}
         for name in names:
-            kind = self.declared[name]
-            own = kind.text if isinstance(kind, Unknown) else c_type(kind)
+            kind, own = self.declared[name], self._c_type_of(name)
             first = "NULL" if is_nd(kind) else _FIRST_VALUES.get(kind)
             found.setdefault(own, []).append(f"{name} = {first}" if first else name)
         zeroed = [
@@ -264,8 +271,15 @@ class Writer(Statements):
         return [f"{{ {c_type(kind)} none_; memset(&none_, 0, sizeof none_); return none_; }}"]
 
 
+_KEPT = re.compile(r"(?<=^return )nd_keep\(arena, mark_, (.*)\)(?=;$)")
 # Of variables; compilers would warn of some that are always written before they are read.
 _FIRST_VALUES: dict[Kind, str] = {FLOAT: "0.0", INT: "0", BOOL: "false"}
+
+
+def _without_needless_keeping(lines: list[str]) -> list[str]:
+    """Return the lines of a function that takes no memory without the care for it."""
+    bare = [_KEPT.sub(r"\1", line) for line in lines if not line.startswith("nd_keep_parts(")]
+    return lines if any(re.search(r"\barena\b(?!->error)", line) for line in bare) else bare
 
 
 def _only_written(name: str, lines: Sequence[str]) -> bool:

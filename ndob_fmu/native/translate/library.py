@@ -79,7 +79,7 @@ REDUCTIONS: dict[str, tuple[str, Kind]] = {
     "max": ("LARGEST", FLOAT),
     "min": ("SMALLEST", FLOAT),
 }
-STACKS = {"hstack": "nd_hstack", "vstack": "nd_vstack", "column_stack": "nd_column_stack", "stack": "nd_stack"}
+STACKS = {"vstack": "nd_vstack", "column_stack": "nd_column_stack", "stack": "nd_stack"}
 # Errors by the classes that a handler catches: ValueError is the base of LinAlgError.
 ERRORS = {
     "np.linalg.LinAlgError": ("ND_LINALG",),

@@ -30,6 +30,13 @@ Named = dict[str, ast.expr]
 _IDENTITY = ("numbers", "np.asarray", "np.ascontiguousarray")
 
 
+_TWO = "2, (nd[]){"
+
+
+def _in_braces(text: str) -> str:
+    return text[text.index("{") + 1 : text.rindex("}")]
+
+
 def _is_empty(node: ast.expr) -> bool:
     return isinstance(node, (ast.List, ast.Tuple)) and not node.elts
 
@@ -155,7 +162,12 @@ class NumpyCalls(Expressions):
         return f"1, (int[]){{{self.as_number(value, INT, node)}}}"
 
     def _filled(self, node: ast.Call, value: str) -> Value:
-        return Value(f"nd_full(arena, {self.shape(node.args[0])}, {value})", ARRAY, fresh=True)
+        shape = self.shape(node.args[0])
+        if shape.startswith("2, (int[]){"):
+            return Value(f"nd_filled2(arena, {_in_braces(shape)}, {value})", ARRAY, fresh=True)
+        if shape.startswith("1, (int[]){"):
+            return Value(f"nd_filled(arena, {_in_braces(shape)}, {value})", ARRAY, fresh=True)
+        return Value(f"nd_full(arena, {shape}, {value})", ARRAY, fresh=True)
 
     def _of_np_zeros(self, node: ast.Call, named: Named, _want: Kind | None) -> Value:
         if "dtype" in named and ast.unparse(named["dtype"]) == "complex":
@@ -235,7 +247,16 @@ class NumpyCalls(Expressions):
 
     def _of_np_concatenate(self, node: ast.Call, named: Named, _want: Kind | None) -> Value:
         axis = self.number(named["axis"], INT) if "axis" in named else "0"
-        return Value(f"nd_concatenate(arena, {axis}, {self.several(node.args[0])})", ARRAY, fresh=True)
+        parts = self.several(node.args[0])
+        if parts.startswith(_TWO):
+            return Value(f"nd_joined(arena, {axis}, {_in_braces(parts)})", ARRAY, fresh=True)
+        return Value(f"nd_concatenate(arena, {axis}, {parts})", ARRAY, fresh=True)
+
+    def _of_np_hstack(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
+        parts = self.several(node.args[0])
+        if parts.startswith(_TWO):
+            return Value(f"nd_beside(arena, {_in_braces(parts)})", ARRAY, fresh=True)
+        return Value(f"nd_hstack(arena, {parts})", ARRAY, fresh=True)
 
     def _of_np_append(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
         more = self.certain(self.expression(node.args[1]))
@@ -244,7 +265,7 @@ class NumpyCalls(Expressions):
             if is_number(more.kind)
             else more.text
         )
-        return Value(f"nd_concatenate(arena, 0, 2, (nd[]){{{self.array(node.args[0])}, {text}}})", ARRAY, fresh=True)
+        return Value(f"nd_joined(arena, 0, {self.array(node.args[0])}, {text})", ARRAY, fresh=True)
 
     def _of_np_block(self, node: ast.Call, _named: Named, _want: Kind | None) -> Value:
         rows = node.args[0].elts if isinstance(node.args[0], ast.List) else []

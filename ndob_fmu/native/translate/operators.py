@@ -75,7 +75,7 @@ class Operators(Indices):
         if isinstance(operator, ast.Mult) and isinstance(left.kind, Listing) and right.kind == INT:
             return self._repeated(left, right, left.kind)
         if isinstance(operator, ast.Add) and is_nd(left.kind) and is_nd(right.kind):
-            return Value(f"nd_concatenate(arena, 0, 2, (nd[]){{{left.text}, {right.text}}})", left.kind, fresh=True)
+            return Value(f"nd_joined(arena, 0, {left.text}, {right.text})", left.kind, fresh=True)
         raise self.no(node, "an operation on numbers or arrays", f"{ast.unparse(node)} of {left.kind} and {right.kind}")
 
     def of_arrays(self, name: str, left: Value, right: Value, node: ast.AST) -> Value:

@@ -22,7 +22,7 @@ from ndob_fmu.native.translate.kinds import (
     word,
 )
 from ndob_fmu.native.translate.library import ERRORS
-from ndob_fmu.native.translate.world import holds_memory, keeper
+from ndob_fmu.native.translate.world import World, holds_memory, keeper
 
 _RELEASE = "/* release "
 GIVE_BACK = "arena->used = mark_;"
@@ -31,6 +31,7 @@ GIVE_BACK = "arena->used = mark_;"
 class Statements(Assignments):
     """The part of a function's writer that writes statements."""
 
+    world: World
     opened: dict[int, tuple[set[str], int]]  # by loop: the variables before it, and the line where it begins
 
     def statements(self, body: Sequence[ast.stmt]) -> None:
@@ -270,7 +271,12 @@ class Statements(Assignments):
         else:
             self.use(kind)
             self._leave_as_returned(value.text)
-            self.line(f"return kept_{word(kind)}(arena, mark_, {value.text});")
+            name = value.text
+            if name not in self.declared:
+                name = self.temporary(kind)
+                self.line(f"{name} = {value.text};")
+            self.line(f"nd_keep_parts(arena, mark_, &{name}, keep_{word(kind)});")
+            self.line(f"return {name};")
 
     def _leave_as_returned(self, name: str) -> None:
         """Hand a result of another function on without a copy where little was taken before that was called."""

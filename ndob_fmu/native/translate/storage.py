@@ -42,7 +42,6 @@ def movers(
 ) -> list[str]:
     """Return the functions that keep or copy values of the types, as far as the functions call them."""
     by_word = {word(kind): kind for kind in kinds if holds_memory(program, kind)}
-    wanted = re.findall(r"\bkept_(\w+)\(", body)
     needed: list[str] = []
 
     def visit(kind: Kind) -> None:
@@ -57,11 +56,10 @@ def movers(
             visit(one)
         needed.append(word(kind))
 
-    for one in [*wanted, *copied, *stored, *(found for found in re.findall(r"\bkeep_(\w+)\(", body))]:
+    for one in [*copied, *stored, *re.findall(r"\bkeep_(\w+)", body)]:
         if one in by_word:
             visit(by_word[one])
     texts = [_keep(program, by_word[one]) for one in needed]
-    texts += [_kept(by_word[one]) for one in dict.fromkeys(wanted) if one in by_word]
     return texts + [
         f"{head} {{\n    nd_keeping k = nd_{'copy' if head in copy_heads(copied) else 'forms'}_begin(to);\n"
         f"    keep_{head.split()[0]}(&k, &x);\n    return x;\n}}\n"
@@ -80,7 +78,7 @@ def form_heads(stored: Sequence[str]) -> list[str]:
 
 
 def _keep(program: Program, kind: Kind) -> str:
-    head = f"static void keep_{word(kind)}(nd_keeping *k, {c_type(kind)} *x) {{"
+    head = f"static void keep_{word(kind)}(nd_keeping *k, void *place) {{\n    {c_type(kind)} *x = place;"
     if isinstance(kind, Listing):
         own = c_type(kind.element)
         each = ""
@@ -106,16 +104,6 @@ def _keep(program: Program, kind: Kind) -> str:
     if isinstance(kind, Maybe):
         lines.insert(0, "    if (!x->some) return;")
     return "\n".join([head, *lines, "}", ""])
-
-
-def _kept(kind: Kind) -> str:
-    own = c_type(kind)
-    return (
-        f"static {own} kept_{word(kind)}(nd_arena *arena, size_t mark, {own} x) {{\n"
-        "    nd_keeping k = nd_keep_begin(arena, mark);\n"
-        f"    for (; k.pass <= 2; k.pass++) keep_{word(kind)}(&k, &x);\n"
-        "    nd_keep_end(&k);\n    return x;\n}\n"
-    )
 
 
 @dataclass(frozen=True)

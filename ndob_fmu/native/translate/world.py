@@ -5,6 +5,11 @@ from __future__ import annotations
 import ast
 
 from ndob_fmu.native.translate.kinds import (
+    ARRAY,
+    BOOL,
+    FLOAT,
+    INT,
+    SLICE,
     TEXT,
     Array,
     ComplexArray,
@@ -52,13 +57,27 @@ class World:
             self._fails[definition.name] = any(self._node_fails(definition, node) for node in ast.walk(definition.node))
         return self._fails[definition.name]
 
+    def _kind(self, definition: Definition, node: ast.expr) -> Kind | None:
+        """Return the type of a parameter, or of a field or property of one; None where it takes more to find out."""
+        if isinstance(node, ast.Name):
+            return next((one.kind for one in definition.parameters if one.name == node.id), None)
+        of = self._kind(definition, node.value) if isinstance(node, ast.Attribute) else None
+        if not (isinstance(of, Structure) and isinstance(node, ast.Attribute)):
+            return None
+        own = self.program.structure(of.name)
+        if node.attr in own.properties:
+            return own.methods[node.attr].result
+        return own.fields[node.attr].kind if node.attr in own.fields else None
+
     def _node_fails(self, definition: Definition, node: ast.AST) -> bool:
         if isinstance(node, ast.Raise):
             return True
         if isinstance(node, ast.Call):
             text = ast.unparse(node.func)
             if text == "int":  # of a number that is not finite
-                return True
+                given = node.args[0]
+                of = given.value if isinstance(given, ast.Attribute) else given
+                return self._kind(definition, of) not in (INT, BOOL, SLICE)
             if (
                 text.startswith("np.linalg.")
                 and text != "np.linalg.qr"
@@ -77,6 +96,15 @@ class World:
             known = self.program.definition(definition.module, node.id)
             return known is not None and known is not definition and self.fails(known)
         if isinstance(node, ast.Attribute):
+            of = self._kind(definition, node.value)
+            if of in (FLOAT, INT, BOOL, SLICE, ARRAY):
+                return False
+            if isinstance(of, Structure):
+                own = self.program.structure(of.name)
+                if node.attr in own.methods:
+                    return self.fails(own.methods[node.attr])
+                if node.attr in own.fields:
+                    return isinstance(own.fields[node.attr].kind, (Function, Maybe, Unknown))
             return any(self.fails(one) for one in self.program.methods_called(node.attr)) or self.program.has_function(
                 node.attr
             )
