@@ -68,6 +68,7 @@ def test_native(benchmark, section, tmp_path):
     found = benchmark.pedantic(host.run, args=("cycles", [WARM_UP, COUNT, ROUNDS], list(fmus.values())), rounds=1)
     times = dict(zip(fmus, np.array(found).T / COUNT, strict=True))
     pairs = {how: (times[f"{NATIVE}, {how}"], times[f"{PYTHON}, {how}"]) for how in models}
+    three = build_native(joint, tmp_path / "three", platforms=["linux64", "win64", "aarch64-linux"])[1]
     starts, (memory,) = host.run("instances", [INSTANCES], [fmus[f"{NATIVE}, {CONVERGED}"]])
     section(
         Section(
@@ -80,7 +81,9 @@ def test_native(benchmark, section, tmp_path):
                 " state (state_noise) keeps the covariance running. An instance is instantiated, initialized, and takes"
                 " its first step, in which the first one is tuned; the others take that over."
                 f" {INSTANCES} instances at once take"
-                f" {memory / INSTANCES / 1000:.0f} kB of memory each, and {sum(starts):.1f} s together."
+                f" {memory / INSTANCES / 1000:.0f} kB of memory each, and {sum(starts):.1f} s together. The FMU with"
+                f" binaries for linux64, win64 and aarch64-linux, and with its sources, has"
+                f" {three.stat().st_size / 1000:.0f} kB."
             ),
             ratios=(
                 *(compared(who, IDLE, times[who], times[IDLE]) for who in times if who.startswith(NATIVE)),

@@ -55,8 +55,10 @@ PLATFORMS: Mapping[str, Platform] = {
         ".dll",
         ("x86_64-windows-gnu",),
         # longjmp goes back to where it was without the tables for unwinding, which take a twentieth of the library.
-        ("-D_WIN32_WINNT=0x0601", "-D__USE_MINGW_ANSI_STDIO=1", "-D__USE_MINGW_SETJMP_NON_SEH")
-        + ("-fno-asynchronous-unwind-tables",),
+        (
+            *("-D_WIN32_WINNT=0x0601", "-D__USE_MINGW_ANSI_STDIO=1", "-D__USE_MINGW_SETJMP_NON_SEH"),
+            "-fno-asynchronous-unwind-tables",
+        ),
         ("win32", "AMD64"),
         ("x86_64-w64-mingw32-gcc", "-static", "-Wl,--no-insert-timestamp", "-Wl,--disable-auto-image-base"),
     ),
@@ -71,7 +73,7 @@ PLATFORMS: Mapping[str, Platform] = {
         ("aarch64-linux", "aarch64-linux"),
         ".so",
         ("aarch64-linux-gnu.2.17",),
-        ("-fPIC", "-fno-asynchronous-unwind-tables", "-Wl,--build-id=none"),
+        ("-fPIC", "-fno-asynchronous-unwind-tables", "-mno-outline-atomics", "-Wl,--build-id=none"),
         ("linux", "aarch64"),
         ("aarch64-linux-gnu-gcc",),
     ),

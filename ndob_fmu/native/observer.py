@@ -22,7 +22,7 @@ from ndob_fmu.native.continued import CONTINUED, continued_text
 from ndob_fmu.native.equations import USED_BY_PRINTED, channel_size, equations_text, function_texts
 from ndob_fmu.native.frozen import frozen_step_text
 from ndob_fmu.native.join import joined
-from ndob_fmu.native.runtime_code import OF_SHELL, part, places, runtime_texts
+from ndob_fmu.native.runtime_code import part, places, runtime_texts
 from ndob_fmu.native.short_code import fast, short
 from ndob_fmu.native.sources import ComponentCode
 from ndob_fmu.native.thunks import converged_step_thunk
@@ -118,7 +118,7 @@ def observer_code(model: Model) -> ComponentCode:
     around = [part("paper.c"), *own, part("shared.c"), part("call.c"), *reading, part("observer.c")]
     texts = [*_own_texts(model, eq), *short(*around)]
     runtime = _runtime({**_TRANSLATED, **_AROUND, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
-    return ComponentCode(joined([*runtime, *texts], OF_SHELL), has_end=True, sizes_state=True)
+    return ComponentCode(joined([*runtime, *texts], "start show step possible end"), has_end=True, sizes_state=True)
 
 
 def _sizes(model: Model, eq: Equations) -> str:

@@ -17,18 +17,16 @@ _HERE = Path(__file__).parent
 _HEADERS = ("nd.h", "nd_loops.h", "nd_pairs.h", "nd_linear.h")
 # What a step consists of.
 _FAST = "memory views make entries entrywise products reflections jumps"
-_SHORT = "forms along numbers text solve random rotations eigenvalues"
-# What the shell calls of a component and of the arrays.
-OF_SHELL = "start show step possible end nd_print nd_shortest"
+_SHORT = "forms along numbers solve random rotations eigenvalues"
 # The C files on arrays, which include the headers beside them.
-ARRAY_FILES = tuple(_HERE / "c" / f"nd_{name}.c" for name in f"{_FAST} {_SHORT}".split())
+ARRAY_FILES = tuple(_HERE / "c" / f"nd_{name}.c" for name in f"{_FAST} {_SHORT} text".split())
 
 
 def component(wanted: Mapping[str, Sequence[str]], own: Sequence[str]) -> ComponentCode:
     """Return a component made of its own texts, of functions of the runtime, by module, and of the arrays."""
     runtime = runtime_texts({f"ndob_fmu.runtime.{module}": names for module, names in wanted.items()})
     has_end = any(re.search(r"(?m)^static void end\(", text) for text in own)
-    text = joined([*runtime, *own], OF_SHELL)
+    text = joined([*runtime, *own], "start show step possible end")
     return ComponentCode(text, has_end)
 
 

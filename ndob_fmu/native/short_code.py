@@ -19,7 +19,8 @@ _SHORT_CODE = """
 #pragma clang attribute push(__attribute__((minsize)), apply_to = function)
 #elif defined __GNUC__
 #pragma GCC push_options
-#pragma GCC optimize("Os", "no-schedule-insns2", "no-inline-functions-called-once", "no-math-errno")
+#pragma GCC optimize("Os", "no-schedule-insns2", "no-inline-functions-called-once", "no-math-errno", \
+                     "no-caller-saves", "no-ivopts", "no-move-loop-invariants")
 #endif
 """
 _AFTER_SHORT = """

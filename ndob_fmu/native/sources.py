@@ -11,12 +11,14 @@ import fmpy
 
 from ndob_fmu.fmu.rules_header import rules_header
 from ndob_fmu.interface.variables import Variable
+from ndob_fmu.native.join import joined
 from ndob_fmu.native.short_code import fast, short
 from ndob_fmu.native.start_values import first_values
 from ndob_fmu.native.variable_table import counts, quoted, variable_table
 
 SHELL = Path(__file__).parent / "shell"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
+_ARRAYS = Path(__file__).parent / "c"
 _FRONT_SHELL = Path(__file__).parents[1] / "fmu" / "shell"
 _IN_EVERY_STEP = ("handles.c", "environment.c", "values.c", "instance.c")
 _SELDOM: tuple[str, ...] = ("text.c", "log.c", "states.c")
@@ -28,8 +30,8 @@ _TEXT_OR_COMMENT = re.compile(r'(?s)(?P<text>"(?:[^"\\\n]|\\.)*")|/\*.*?\*/')
 _BEGINNING = """\
 /* {name}, written by ndob-fmu; do not edit. C99, without any library but the compiler's own.
  *
- * One file, without comments, so that FMUs are small: ndob_fmu/native and ndob_fmu/runtime have the texts that it is made
- * of, with their comments. */
+ * One file, without comments, so that FMUs are small: ndob_fmu/native and ndob_fmu/runtime have the texts that it is
+ * made of, with their comments. */
 
 /* A product and a sum are rounded one after the other, as everywhere: fused, they would give other bits. */
 #if defined(__GNUC__) && !defined(__clang__)
@@ -72,12 +74,13 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         beginning += "#define SIZES_STATE\n"
         seldom += ("state_memory.c",)
     functions = ", ".join(f".{function} = {function}" for function in names)
-    parts = [
-        beginning,
+    of_component = [
         _without_local_includes(SHELL / "fmu.h"),
+        *short(text_functions()),
         code.text,
         variable_table(variables),
-        first_values(token, variables),
+    ]
+    of_shell = [
         f"static const Fmu fmu = {{{members}, {functions}}};\n",
         rules_header(),
         _without_local_includes(SHELL / "shell.h"),
@@ -87,23 +90,32 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
         *fast(_without_local_includes(SHELL / f"fmi{fmi}.c")),
     ]
     if fmi == 3:
-        parts.append(_unsupported_of_fmi3())
+        of_shell.append(_unsupported_of_fmi3())
     elif code.sizes_state:
-        parts.append(_without_local_includes(SHELL / "many_steps.c"))
+        of_shell.append(_without_local_includes(SHELL / "many_steps.c"))
     headers = {file: _with_its_licence((HEADERS / file).read_text("utf-8")) for file in _HEADER_FILES[fmi]}
-    begun, *others = parts
-    return {f"{name}.c": f"{begun}\n{_without_comments(others)}", **headers}
+    # The comments of the first values say which is which, for `start_values`.
+    text = [beginning, _without_comments(of_component), first_values(token, variables), _without_comments(of_shell)]
+    return {f"{name}.c": "\n".join(text), **headers}
+
+
+def text_functions() -> str:
+    """Return the functions that write numbers and messages, for the shell, the component and its arrays."""
+    texts = [(_ARRAYS / f"nd_text.{end}").read_text("utf-8") for end in "hc"]
+    return joined(texts, "nd_print nd_print_of nd_shortest")
 
 
 def _without_comments(texts: Sequence[str]) -> str:
     without = re.sub(_TEXT_OR_COMMENT, lambda found: found["text"] or "", "\n".join(texts))
-    return re.sub(r"\s*\n\s*\n", "\n\n", re.sub(r"[ \t]+\n", "\n", without))
+    lines = re.sub(r"\s*\n\s*\n", "\n\n", re.sub(r"[ \t]+\n", "\n", without))
+    return re.sub(r"(?m)^(?: {4})+", lambda indent: "\t" * (len(indent[0]) // 4), lines)
 
 
 def _with_its_licence(header: str) -> str:
-    """Return a header of FMI without its comments but for the licence."""
-    licence = next(found[0] for found in re.finditer(_TEXT_OR_COMMENT, header) if "Copyright" in found[0])
-    return f"/* {licence[licence.index('Copyright') :]}\n{_without_comments([header])}"
+    """Return a header of FMI without its comments but for whose it is; `documentation/licenses` has the licence."""
+    owners = next(found[0] for found in re.finditer(r"Copyright.*?All rights reserved\.", header, re.DOTALL))
+    told = f"/* {' '.join(owners.split())} Licence: documentation/licenses/fmi-headers.txt */"
+    return f"{told}\n{_without_comments([header])}"
 
 
 def _without_local_includes(path: Path) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.native.paper import paper_observer_text
+from ndob_fmu.native.sources import text_functions
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.step.paper_observer import paper_observer
 from tests.helpers.problems import MODELS
@@ -50,7 +51,7 @@ const char *message(void) { return observer.scratch.message; }
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
-    texts = [BEGINNING, *paper_observer_text(MODELS["flexible_joint"]), END]
+    texts = [BEGINNING, text_functions(), *paper_observer_text(MODELS["flexible_joint"]), END]
     source = folder / "paper.c"
     source.write_text(re.sub(r'(?m)^#include "[^"]*"\n', "", "\n".join(texts)), "utf-8")
     flags = [flag for flag in FLAGS if flag != "-Werror"]

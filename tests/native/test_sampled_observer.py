@@ -12,6 +12,7 @@ import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.native.observer import sampled_observer_text
+from ndob_fmu.native.sources import text_functions
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.ranges import continued
@@ -88,7 +89,7 @@ def library_of(tmp_path_factory):
 
 def compiled(model, folder):
     source = folder / "observer.c"
-    texts = [BEGINNING, *sampled_observer_text(model), END]
+    texts = [BEGINNING, text_functions(), *sampled_observer_text(model), END]
     source.write_text(re.sub(r'(?m)^#include "[^"]*"\n', "", "\n".join(texts)), "utf-8")
     flags = [flag for flag in FLAGS if flag != "-Werror"]
     quiet = ["-Wno-unused-function", "-Wno-unused-const-variable"]

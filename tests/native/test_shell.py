@@ -305,7 +305,7 @@ def test_an_fmu_that_is_up_to_date_can_be_kept_without_a_compiler(built, fmi, mo
     monkeypatch.setattr("ndob_fmu.native.package.binary", lambda *_: compiled.append("") or b"")
     package(fmu, *COMPONENTS["Counter"], {}, platforms=["linux64"], fmi=fmi, keep=True)
     assert (fmu.read_bytes(), compiled) == (known, [])
-    changed = (COMPONENTS["Counter"][0], ComponentCode(COUNTER_CODE.text + "/* new */"))
+    changed = (COMPONENTS["Counter"][0], ComponentCode(COUNTER_CODE.text + "enum { NEW };\n"))
     other = fmu.with_name("Other.fmu")
     for contents, platforms in ((changed, ["linux64"]), (COMPONENTS["Counter"], ["linux64", "win64"])):
         other.write_bytes(known)

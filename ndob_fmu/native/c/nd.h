@@ -9,9 +9,10 @@
 #ifndef ND_H
 #define ND_H
 
+#include "nd_text.h"
+
 #include <math.h>
 #include <setjmp.h>
-#include <stdarg.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -178,12 +179,6 @@ bool nd_equal(nd x, nd y);
 nd nd_matmul(nd_arena *a, nd x, nd y);
 nd nd_tensordot1(nd_arena *a, nd x, nd y); /* the last axis of x with the first of y */
 nd nd_rhk_hkj(nd_arena *a, nd x, nd y);    /* einsum("rhk,hkj->rhj") */
-
-/* -- text (nd_text.c) */
-/* As printf, with %s, %d, %e, %f and %g, their precision, and +. */
-void nd_print(char *to, size_t size, const char *format, ...);
-void nd_print_of(char *to, size_t size, const char *format, va_list arguments);
-void nd_shortest(char *to, size_t size, double number); /* the fewest digits that give the number back, as repr */
 
 int nd_find(int n, const char *const *names, const char *name);
 

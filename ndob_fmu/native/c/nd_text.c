@@ -1,6 +1,11 @@
 /* Numbers and messages as text: what printf writes in the locale "C", without it. Controllers have none, or a large one,
    and that of a host goes by its locale. */
-#include "nd_loops.h"
+#include "nd_text.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <string.h>
 
 enum { LIMBS = 144, LIMB_DIGITS = 9, LIMB = 1000000000, DIGITS = 340, ROUND_TRIP = 17, LEAST_EXPONENT = -1074 };
 

@@ -85,7 +85,7 @@ class Assignments(Loops):
         if start == "None":
             self.lines[place] = f"{own} = NULL;" if is_nd(kind) else f"memset(&{own}, 0, sizeof {own});"
         elif is_numbers(kind):
-            self.lines[place] = f"{own} = nd_new(arena, 1, (int[]){{0}});"
+            self.lines[place] = f"{own} = nd_filled(arena, 0, 0.0);"
         else:
             self.lines[place] = f"{own}.n = 0, {own}.p = NULL;"
 

@@ -240,9 +240,12 @@ class Conversions:
         name = self.temporary(kind)
         if is_numbers(kind):
             texts = [self.as_number(item, FLOAT, node) for item in items]
-            self.line(f"{name} = nd_new(arena, 1, (int[]){{{len(items)}}});")
-            for i, text in enumerate(texts):
-                self.line(f"{name}->p[{i}] = {text};")
+            if len(texts) == 1:
+                self.line(f"{name} = nd_filled(arena, 1, {texts[0]});")
+            elif texts:
+                self.line(f"{name} = nd_vector(arena, {len(texts)}, (const double[]){{{', '.join(texts)}}});")
+            else:
+                self.line(f"{name} = nd_filled(arena, 0, 0.0);")
         else:
             texts = [self.coerced(item, kind.element, node).text for item in items]
             self.line(f"{name}.n = {len(items)};")

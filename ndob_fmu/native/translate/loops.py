@@ -190,7 +190,7 @@ class Loops(Calls):
         counted = items.count
         self.use(kind)
         if numbers:
-            self.line(f"{name} = nd_new(arena, 1, (int[]){{{counted}}});")
+            self.line(f"{name} = nd_filled(arena, {counted}, 0.0);")
         else:
             size = f"sizeof({c_type(kind.element)}) * (size_t)nd_imax2({counted}, 1)"
             self.line(f"{name}.p = nd_take_bytes(arena, {size});")

@@ -45,7 +45,8 @@ def placed(lines: Sequence[str], types: Mapping[str, str]) -> Placed:
     """Return the lines with declarations of the variables, which `types` names with their types in C."""
     uses: dict[str, list[tuple[int, Block]]] = {}
     inside: list[Block] = []  # behind the last brace of each line
-    block, opened = (), 0
+    block: Block = ()
+    opened = 0
     for place, line in enumerate(lines):
         bare = _TEXT.sub('""', line)
         ends = len(bare) - len(bare.lstrip("}"))

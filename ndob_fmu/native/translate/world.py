@@ -76,8 +76,8 @@ class World:
             text = ast.unparse(node.func)
             if text == "int":  # of a number that is not finite
                 given = node.args[0]
-                of = given.value if isinstance(given, ast.Attribute) else given
-                return self._kind(definition, of) not in (INT, BOOL, SLICE)
+                whole = given.value if isinstance(given, ast.Attribute) else given
+                return self._kind(definition, whole) not in (INT, BOOL, SLICE)
             if (
                 text.startswith("np.linalg.")
                 and text != "np.linalg.qr"
@@ -96,7 +96,7 @@ class World:
             known = self.program.definition(definition.module, node.id)
             return known is not None and known is not definition and self.fails(known)
         if isinstance(node, ast.Attribute):
-            of = self._kind(definition, node.value)
+            of: Kind | None = self._kind(definition, node.value)
             if of in (FLOAT, INT, BOOL, SLICE, ARRAY):
                 return False
             if isinstance(of, Structure):
