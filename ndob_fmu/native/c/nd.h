@@ -3,7 +3,7 @@
    An array is a view: a pointer, and for each axis a length and a stride. Slices and transposes share memory with what
    they were taken from, as in NumPy. Code hands on the address of a view, which lies in the block too: that keeps the
    calls short. A view comes with or behind its numbers. All memory comes from one block, in order; a function gives back
-   what it took when it returns, but for its result (`nd_keep`). A method that finds no answer sets the error of the
+   what it took when it returns, but for its result (`nd_keep`), where that is worth it. A method that finds no answer sets the error of the
    block, which translated code looks at after each call that can fail. A block that is too small ends the call of the
    outermost function: its owner sets `full`. */
 #ifndef ND_H

@@ -1,7 +1,7 @@
 /* The block of memory, and how results move in it. */
 #include "nd_loops.h"
 
-enum { ND_ALIGNMENT = sizeof(double) };
+enum { ND_ALIGNMENT = sizeof(double), LITTLE = 256 };
 
 void nd_start(nd_arena *a, void *block, size_t bytes) {
     uintptr_t odd = (uintptr_t)block % ND_ALIGNMENT, skipped = odd ? ND_ALIGNMENT - odd : 0;
@@ -82,7 +82,11 @@ void nd_keep_array(nd_keeping *k, nd *x) {
     *x = p;
 }
 
+/* What is too little to be worth a copy. */
+static bool is_little(const nd_arena *a, size_t mark) { return a->used - mark <= LITTLE; }
+
 void nd_keep_parts(nd_arena *a, size_t mark, void *x, void (*keep)(nd_keeping *, void *)) {
+    if (is_little(a, mark)) return;
     nd_keeping k = nd_keep_begin(a, mark);
     for (; k.pass <= 2; k.pass++) keep(&k, x);
     nd_keep_end(&k);
@@ -92,6 +96,7 @@ void nd_keep_parts(nd_arena *a, size_t mark, void *x, void (*keep)(nd_keeping *,
 static bool is_whole(nd x) { return (void *)x->p == (void *)(x + 1) && nd_is_compact(x); }
 
 nd nd_keep(nd_arena *a, size_t mark, nd x) {
+    if (is_little(a, mark)) return x;
     nd_keeping k = {a, mark, a->used, 1};
     if (x && is_inside(a, x, mark, a->used) && is_whole(x)) {
         size_t bytes = sizeof *x + (size_t)nd_size(x) * sizeof(double);
