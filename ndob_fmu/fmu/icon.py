@@ -10,13 +10,13 @@ from itertools import pairwise
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
-from PIL import Image
+from PIL import Image, ImageColor
 
 from ndob_fmu.fmu.manual import Part
 from ndob_fmu.model.model import Model
 
 _SIZE, _DPI = 200, 100  # pixels; FMI recommends at least 100
-_SHADES = 16  # few make a file a third as large
+_SHADES = 8  # from the ink to each of the grounds; few make a file a third as large
 _COLOURS = {"Plant": ("#1f4e79", "#eaf2fa"), "Observer": ("#7a3e00", "#fdf1e3")}
 
 
@@ -72,9 +72,25 @@ def draw_icon(icon: Icon) -> bytes:
         axes.text(0.5, 0.33, icon.label, ha="center", va="center", size=9, style="italic", color=ink)
         png = io.BytesIO()
         figure.savefig(png, format="png", metadata={"Software": None})
-    drawn, few = Image.open(png), io.BytesIO()
-    drawn.convert("RGB").quantize(_SHADES).save(few, format="png", optimize=True)
+    few = io.BytesIO()
+    drawn = Image.open(png).convert("RGB")
+    drawn.quantize(palette=_palette(icon), dither=Image.Dither.NONE).save(few, format="png", optimize=True)
     return few.getvalue()
+
+
+def _palette(icon: Icon) -> Image.Image:
+    """Return the colours of an icon, and those between its ink and its grounds, which smooth lines have."""
+    dark, *grounds = (ImageColor.getrgb(colour)[:3] for colour in (icon.ink, icon.face, "white"))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(
+        [
+            round(a + (b - a) * k / (_SHADES - 1))
+            for ground in grounds
+            for k in range(_SHADES)
+            for a, b in zip(dark, ground, strict=True)
+        ]
+    )
+    return palette
 
 
 def _signals(model: Model, part: Part) -> tuple[list[str], list[str]]:
