@@ -49,10 +49,10 @@ void sampled_memory(Sampled *self, void *block, size_t bytes) {
 
 /* Compute directly behind what lasts: pages of memory that nothing touches cost nothing. */
 static void move_scratch(Sampled *self) {
-    size_t unused = self->lasting.size - self->lasting.used;
-    self->lasting.size -= unused;
-    self->scratch.base -= unused;
-    self->scratch.size += unused;
+    char *end = self->scratch.base + self->scratch.size;
+    self->lasting.size = self->lasting.used;
+    self->scratch.base = self->lasting.base + self->lasting.used; /* as aligned as all that was taken */
+    self->scratch.size = (size_t)(end - self->scratch.base);
 }
 
 static bool is_kept(const Kept *kept, double H, double tuned_at, nd noise) {
