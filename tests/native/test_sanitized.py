@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from ndob_fmu.native.build import build_native_components
+from ndob_fmu import load_model
+from ndob_fmu.native.build import build_native, build_native_components
 from tests.attacks.native import attack_of_fmi3, attacked, attacks, sanitized
 from tests.helpers.needs import C_COMPILER
 
@@ -15,7 +16,8 @@ ATTACKS = {words[0]: words for words in attacks(calls=3000, trials=300, seed=97)
 @pytest.fixture(scope="module")
 def fmus(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sanitized")
-    for fmu in build_native_components(folder / "plain"):
+    _, observer = build_native(load_model("flexible_joint"), folder / "plain")
+    for fmu in (observer, *build_native_components(folder / "plain")):
         sanitized(fmu, folder)
     return folder
 
