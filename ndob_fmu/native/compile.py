@@ -47,7 +47,7 @@ PLATFORMS: Mapping[str, Platform] = {
         ("linux64", "x86_64-linux"),
         ".so",
         ("x86_64-linux-gnu.2.17",),
-        ("-fPIC", "-fno-asynchronous-unwind-tables", "-Wl,--build-id=none"),
+        ("-fPIC", "-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-Wl,--build-id=none"),
         ("linux", "x86_64"),
     ),
     "win64": Platform(
@@ -73,7 +73,13 @@ PLATFORMS: Mapping[str, Platform] = {
         ("aarch64-linux", "aarch64-linux"),
         ".so",
         ("aarch64-linux-gnu.2.17",),
-        ("-fPIC", "-fno-asynchronous-unwind-tables", "-mno-outline-atomics", "-Wl,--build-id=none"),
+        (
+            "-fPIC",
+            "-fno-asynchronous-unwind-tables",
+            "-fno-unwind-tables",
+            "-mno-outline-atomics",
+            "-Wl,--build-id=none",
+        ),
         ("linux", "aarch64"),
         ("aarch64-linux-gnu-gcc",),
     ),
