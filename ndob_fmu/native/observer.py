@@ -70,7 +70,7 @@ _PER_DISTURBANCE = {
 # Bytes that design and steps compute in, for each number that the FMU counts. Where they are too few, it takes more.
 _MEMORY_OF_A_NUMBER = 88
 _COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep")
-# The ways of a step, whose memory is given back when the state is written.
+# Functions of a step that leave their memory in use: the caller gives all of it back after it has written the state.
 _UNMOVED = (f"{_STEP}.sampled_step.step_by_definition", f"{_STEP}.tracking_step.step_with_covariance")
 _PRINTED = (
     "nonlinearity",

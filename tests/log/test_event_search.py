@@ -1,4 +1,4 @@
-"""What an event does to the scores of a record, against another pass over it; and the search that rests on that."""
+"""The scores of a record after an event, beside those of another pass over it, and the search that uses them."""
 
 from collections import Counter
 from dataclasses import replace

@@ -96,11 +96,11 @@ nd nd_binary(nd_arena *a, int op, nd x, nd y) {
         binary_row(op, nd_size(r), r->p, x->p, x->rank > 0, y->p, y->rank > 0);
         return r;
     }
-    nd_shape3 sx4, sy4, o;
+    nd_shape3 shape_x, shape_y, o;
     int sx[ND_RANK], sy[ND_RANK];
-    nd_shape_of(x, &sx4);
-    nd_shape_of(y, &sy4);
-    for (int i = 0; i < ND_RANK; i++) o.n[i] = sx4.n[i] == 1 ? sy4.n[i] : sx4.n[i];
+    nd_shape_of(x, &shape_x);
+    nd_shape_of(y, &shape_y);
+    for (int i = 0; i < ND_RANK; i++) o.n[i] = shape_x.n[i] == 1 ? shape_y.n[i] : shape_x.n[i];
     r = nd_new(a, like->rank, o.n + ND_RANK - like->rank);
     nd_strides_over(x, &o, sx);
     nd_strides_over(y, &o, sy);

@@ -31,7 +31,7 @@ static double one_explained(double *to, const double *from, const double *rho, d
 
 nd_three nd_with_innovation(nd_arena *a, nd sizes, nd misfit, nd of_jumps, double e, double alpha) {
     int count = nd_len(sizes);
-    nd_three told = {nd_copy(a, sizes), nd_copy(a, misfit), nd_new(a, 1, &count)};
+    nd_three told = {nd_new(a, sizes->rank, sizes->n), nd_copy(a, misfit), nd_new(a, 1, &count)};
     nd before = nd_is_compact(sizes) ? sizes : nd_copy(a, sizes);
     double *without = told.v1->p, *within = without + count, *samples = within + count;
     for (int h = 0; h < count; h++) {
