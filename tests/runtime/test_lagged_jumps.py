@@ -12,7 +12,7 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.step.jump_bank import log_weights
 from tests.helpers.batch_estimate import Batch, sampled_by_van_loan
-from tests.helpers.observers import sampled_observer
+from tests.helpers.observers import MASS, sampled_observer
 
 H, BOUND = 0.05, 2.0
 V = 2.0 * BOUND**2
@@ -217,20 +217,8 @@ def test_while_a_jump_is_only_likely_the_lagged_estimate_is_between_both():
 def test_after_a_step_of_the_disturbance_the_lagged_estimate_is_nearer_at_the_edge_and_after_it():
     """A mass with a noisy encoder, pushed by a force that jumps: 20 ms later the edges are where they were."""
     step, lag, size, std, edges = 1e-3, 20, 1.5, 5e-7, (100, 180)
-    model = Model(
-        name="Mass",
-        states=["position", "rate"],
-        inputs=["force"],
-        outputs=["position"],
-        disturbances=["push"],
-        parameters={},
-        A=[[0, 1], [0, -0.5]],
-        B=[[0], [1]],
-        C=[[1, 0]],
-        G_d=[[0], [1]],
-    )
     observer = sampled_observer(
-        compile_model(model),
+        compile_model(MASS),
         {},
         x_hat=(0.0, 0.0),
         order=1,

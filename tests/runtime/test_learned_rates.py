@@ -9,22 +9,9 @@ import pytest
 import scipy.linalg
 
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.model.model import Model
-from tests.helpers.observers import sampled_observer
+from tests.helpers.observers import MASS, sampled_observer
 
 H, BOUND, STD, SIZE = 1e-3, 2.0, 2e-8, 1.5
-MASS = Model(
-    name="Mass",
-    states=["position", "rate"],
-    inputs=["force"],
-    outputs=["position"],
-    disturbances=["push"],
-    parameters={},
-    A=[[0, 1], [0, -0.5]],
-    B=[[0], [1]],
-    C=[[1, 0]],
-    G_d=[[0], [1]],
-)
 EVERY = 125  # samples from one edge to the next
 CLEAN = 1000
 
