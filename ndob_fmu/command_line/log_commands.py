@@ -128,6 +128,8 @@ def _tune(options: argparse.Namespace) -> int:
 
     with shown_after(PATIENCE):
         workbench = Workbench(load_model(options.model), options.log, native=NATIVE / "fmus", **_told(options))
+    for line in workbench.warnings:
+        print(f"warning: {line}", flush=True)
     server = page_server(workbench, options.log.name, options.out or Path("results", options.log.stem))
     print(f"{address(server)}: settings for {options.log}; Ctrl-C ends it", flush=True)
     if not options.no_browser:

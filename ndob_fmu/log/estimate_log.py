@@ -20,10 +20,11 @@ from ndob_fmu.log.log import Found
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Run, Stretch, along
-from ndob_fmu.log.plausible import Plausibility, with_likely_cause
+from ndob_fmu.log.plausible import plausibility, with_likely_cause
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable
-from ndob_fmu.log.smooth_log import SmoothedStretch, can_smooth, smooth, start_samples
+from ndob_fmu.log.smooth_log import SmoothedStretch, smooth, start_samples
+from ndob_fmu.log.smoothable import not_smoothed
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.results.csv_files import write_csv_parts
@@ -32,8 +33,7 @@ from ndob_fmu.results.run_files import RESULT, write_summary
 from ndob_fmu.results.shown_time import ShownTime, shown_time
 from ndob_fmu.results.versions import software_versions
 from ndob_fmu.runtime.base_errors import IntegrationError
-from ndob_fmu.runtime.design.pace import Pace, pace_of
-from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.step.channel_observer import read_out
 from ndob_fmu.runtime.step.observer import Observer
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
@@ -113,13 +113,13 @@ def estimate_log(
     )
     bound = for_disturbances(eq, values.__getitem__, "disturbance_bound")
     observer: Observer[Any] = read_out(eq, parameters, sampled, disturbance_bound=bound, lag=values["lag"])
-    smooths = eq.channel is None and can_smooth(sampled)
+    smooths = not_smoothed(eq, sampled) is None
 
-    check = Plausibility(eq, bound, None if eq.channel else _pace(eq, sampled, x_hat))
+    check = plausibility(eq, sampled, bound, x_hat)
     blocks = check.blocks(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
     first = next(blocks)
     before = observer.estimate(observer.init(x_hat), first.outputs[0].tolist())
-    check.start(first.outputs[0], before.residual, before.residual_std)
+    check.start(first.outputs[0], before)
     table, kept = ResultTable(eq, before, smooths=smooths), Thinned()
     counts, tally = _Counts(), ResidualTally(len(eq.outputs), start_samples(sampled))
 
@@ -154,13 +154,6 @@ def estimate_log(
         wall_time = time.perf_counter() - began
         write_summary(new, _summary(eq, values, estimated, table.units, Path(path).name, wall_time))
     return estimated
-
-
-def _pace(eq: Equations, observer: SampledObserver, x_hat: Vector) -> Pace:
-    told = observer.settings
-    return pace_of(
-        eq, observer.parameters, x_hat, bound=told.disturbance_bound, rate=told.disturbance_rate, order=told.order
-    )
 
 
 class _Counts:

@@ -9,8 +9,10 @@ import numpy as np
 from ndob_fmu.log.log import Log
 from ndob_fmu.log.online import Stretch, usual_step
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.design.pace import Pace, pace_warnings
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.design.pace import Pace, pace_of, pace_warnings
+from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.step.observer import Estimate
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 
 # Values that are outside a range by more than its width, in more than this share of the rows, are another quantity.
 _WIDTHS, _SHARE = 1.0, 0.01
@@ -54,9 +56,11 @@ class Plausibility:
             self._most = np.fmax(self._most, np.fmax.reduce(rows, axis=0))
             yield block
 
-    def start(self, sample: Array, residual: Sequence[float], std: Sequence[float]) -> None:
-        """Compare the first sample (p,) with what the start values predict: residual and its std (p,)."""
-        for name, y, off, size in zip(self._eq.outputs, sample.tolist(), residual, std, strict=True):
+    def start(self, sample: Array, before: Estimate) -> None:
+        """Compare the first sample (p,) with what the start values predict."""
+        for name, y, off, size in zip(
+            self._eq.outputs, sample.tolist(), before.residual, before.residual_std, strict=True
+        ):
             if np.isfinite(y) and abs(off) > _FAR_FROM_START * size > 0.0:
                 unit = self._unit(name)
                 self._start.append(
@@ -97,6 +101,20 @@ class Plausibility:
     def _unit(self, name: str) -> str:
         unit = self._eq.units.get(name, "")
         return f" {unit}" if unit else ""
+
+
+def plausibility(eq: Equations, observer: SampledObserver, bound: Sequence[float], x_hat: Vector) -> Plausibility:
+    """Return what counts over a log for a plant with an observer from x̂₀ (n,).
+
+    bound (q2,): D₀, which for a plant with a channel is not that of the observer's disturbances
+    """
+    if eq.channel is not None:
+        return Plausibility(eq, bound, None)
+    told = observer.settings
+    pace = pace_of(
+        eq, observer.parameters, x_hat, bound=told.disturbance_bound, rate=told.disturbance_rate, order=told.order
+    )
+    return Plausibility(eq, bound, pace)
 
 
 def with_likely_cause(message: str, warnings: Sequence[str]) -> str:

@@ -47,11 +47,6 @@ class SmoothedStretch:
     outliers: int
 
 
-def can_smooth(observer: SampledObserver) -> bool:
-    """Return whether there is a smoothed estimate: not for r = 0, whose d has no model, and not of late samples."""
-    return observer.layout.order > 0 and not any(observer.settings.sensors.delay)
-
-
 def start_samples(observer: SampledObserver) -> int:
     """Return how many samples the start lasts."""
     return filter_model(observer, 1.0, 0.0).start_samples

@@ -182,7 +182,7 @@ def test_nothing_need_be_held_out_and_what_was_is_fitted_too_once_the_order_is_c
 
 
 def test_a_log_with_more_rows_than_are_fitted_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("ndob_fmu.log.fit.setup.read_log", partial(read_log, block=600))
+    monkeypatch.setattr("ndob_fmu.log.first_block.read_log", partial(read_log, block=600))
     made_log(tmp_path / "log.csv", "walk", 4, rows=650)
     found = fit_log(CART, tmp_path / "log.csv", tmp_path / "out", hold=0.0)
     assert found.warnings == ("the first 599 rows of the log are fitted, the others are not read",)
@@ -193,7 +193,10 @@ def test_a_log_with_more_rows_than_are_fitted_is_named(tmp_path, monkeypatch):
     [
         ({"free": ["mas"]}, "did you mean 'mass'"),
         ({"hold": 0.95}, "--hold: expected a share of the rows from 0 to 0.9"),
-        ({"start_values": {"place_delay": 0.1}}, "place_delay"),
+        (
+            {"start_values": {"place_delay": 0.1, "disturbance_order": 0}},
+            "outputs without a delay, and disturbance_order 1 or more, received place_delay",
+        ),
         ({}, "at least 500 rows"),
     ],
 )

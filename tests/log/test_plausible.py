@@ -7,10 +7,12 @@ import pytest
 
 from ndob_fmu.log.diagnostics import OutputDiagnosis
 from ndob_fmu.log.estimate_log import estimate_log
+from ndob_fmu.log.fit.fit_log import fit_log
+from ndob_fmu.log.tune.workbench import Workbench
 from ndob_fmu.runtime.base_errors import IntegrationError
 from tests.log.test_estimate_log import CART, NOISE, TUNED, gusts, simulated, write_log
 
-TIME = 0.01 * np.arange(400)
+TIME = 0.01 * np.arange(520)
 INPUTS, OUTPUTS = simulated(TIME, gusts(TIME), [*NOISE.values()], 1)
 
 
@@ -49,6 +51,29 @@ def test_a_first_sample_that_the_start_values_exclude_is_named(warnings):
 
 def test_an_estimate_far_beyond_the_bound_is_named(warnings):
     assert any("the estimate of wind reaches" in line for line in warnings(inputs=30.0 * INPUTS))
+
+
+def fit(model, path, folder, told):
+    return fit_log(model, path, folder, start_values=told).warnings
+
+
+def tune(model, path, folder, told):
+    return Workbench(model, path, start_values=told).warnings
+
+
+@pytest.mark.parametrize("command", [fit, tune])
+def test_who_begins_with_fit_or_tune_is_warned_as_by_estimate(tmp_path, warnings, command):
+    outputs = OUTPUTS * [1.0, 1000.0] + [50.0, 0.0]
+    expected = warnings(outputs=outputs)
+    path = write_log(tmp_path / "log.csv", TIME, INPUTS, outputs)
+    assert command(CART, path, tmp_path / "other", TUNED)[: len(expected)] == expected
+
+
+@pytest.mark.parametrize("command", [fit, tune])
+def test_an_error_of_fit_or_tune_says_which_column_is_its_likely_cause(tmp_path, command):
+    path = write_log(tmp_path / "log.csv", TIME, 1e200 * INPUTS, OUTPUTS)
+    with pytest.raises(IntegrationError, match=r"; likely cause: force goes from"):
+        command(replace(CART, ranges={"force": (-3.0, 3.0)}), path, tmp_path / "out", TUNED)
 
 
 def test_times_in_another_unit_are_named(warnings):

@@ -63,7 +63,7 @@ class Fitted:
     parameters: those that were fitted and that the log tells
     maps: what was learned of the maps of the disturbances
     held_out_values: log-likelihood of a held-out sample for each order; None where no row is held out
-    warnings: what the log does not tell
+    warnings: what in the log does not look like the model's signals, and what the log does not tell
     start_values: for fit.json
     """
 
@@ -118,7 +118,9 @@ def fit_log(
 
 
 def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
-    warnings = [] if run.is_whole else [f"the first {run.rows} rows of the log are fitted, the others are not read"]
+    warnings = list(run.warnings)
+    if not run.is_whole:
+        warnings.append(f"the first {run.rows} rows of the log are fitted, the others are not read")
     fits = _of_each_order(replace(setup, free=()), run)
     best = _best(fits)
     raised = _raised_bounds(setup, best)

@@ -12,19 +12,18 @@ import numpy as np
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import for_each_disturbance
-from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
+from ndob_fmu.interface.told_observer import for_disturbances, told_observer
 from ndob_fmu.log.along import Samples, in_layout, unpacked_rows
+from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.log import Log
-from ndob_fmu.log.log_columns import Signals
-from ndob_fmu.log.native_run import build_of, native_run
-from ndob_fmu.log.online import Online, Stretch, along
-from ndob_fmu.log.read_log import read_log
+from ndob_fmu.log.online import Online, Stretch
 from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.smoothable import check_smoothed
 from ndob_fmu.log.told_values import ignored
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.equations import Equations, Vector
+from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 from ndob_fmu.runtime.step.tuned import Tuned
 from ndob_fmu.support.progress import begin
@@ -44,12 +43,14 @@ class Run:
     observer: that said it
     is_whole: whether these are all rows of the log
     build: of the observer, as in `estimate_log`
+    warnings: what in the log does not look like the model's signals
     """
 
     stretch: Stretch
     observer: SampledObserver
     is_whole: bool
     build: str
+    warnings: tuple[str, ...]
 
     @property
     def rows(self) -> int:
@@ -87,39 +88,33 @@ class Setup:
                 )
         if not 0.0 <= self.hold <= 0.9:
             raise UsageError.report("--hold", expected="a share of the rows from 0 to 0.9", received=f"{self.hold:g}")
-        late = [name for name in eq.outputs if self.values[f"{name}_delay"] > 0.0]
-        if late or eq.channel is not None:
-            raise UsageError.report(
-                "fit",
-                expected="a plant without a channel and outputs without a delay",
-                received=f"{late[0]}_delay" if late else "a channel",
-                likely="move the column in the log by its delay" if late else "",
-            )
+        check_smoothed("fit", eq, self._observer(self._first_values))
 
     def online(self, path: str | Path, names: Mapping[str, str] | None, units: Mapping[str, str] | None) -> Run:
         """Run the observer along the first block of a log."""
-        eq = self.equations
-        blocks = read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {}))
-        block, following = next(blocks), next(blocks, None)
-        if len(block.time) < _LEAST_ROWS:
+        block = first_block(self.equations, path, names, units)
+        if block.rows < _LEAST_ROWS:
             raise UsageError.report(
-                str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(len(block.time))
+                str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(block.rows)
             )
-        begin(f"fitting, part 1 of 5: running the observer along {len(block.time)} rows")
-        return self._run(
-            {"disturbance_order": max(1, self.values["disturbance_order"])}, block, is_whole=following is None
-        )
+        begin(f"fitting, part 1 of 5: running the observer along {block.rows} rows")
+        observer, found = self._run(self._first_values, block.log)
+        return Run(found.stretch, observer, block.is_whole, found.build, found.warnings)
 
     def along(self, changes: Mapping[str, Any], run: Run, rows: int) -> Online:
         """Return what an observer with changed values says along the first rows of a log."""
-        return self._run(changes, run.stretch.rows(slice(rows)).log, is_whole=False).stretch.online
+        log = run.stretch.rows(slice(rows)).log
+        return self._run({**self.values, **changes}, log)[1].stretch.online
 
-    def _run(self, changes: Mapping[str, Any], log: Log, *, is_whole: bool) -> Run:
-        values = self._known({**self.values, **changes, "lag": 0.0})
-        observer, x_hat = self._observer(values), self._x_hat
-        with native_run(self.model, self.native, values, observer, x_hat, len(log.time)) as native:
-            stretch = next(along(observer, x_hat, iter([log]), native))
-        return Run(stretch, observer, is_whole, build_of(native))
+    @property
+    def _first_values(self) -> dict[str, Any]:
+        """Values of the observer that runs along the log first, which needs a model of the disturbance."""
+        return {**self.values, "disturbance_order": max(1, self.values["disturbance_order"])}
+
+    def _run(self, values: Mapping[str, Any], log: Log) -> tuple[SampledObserver, ObserverRun]:
+        known = self._known({**values, "lag": 0.0})
+        observer = self._observer(known)
+        return observer, run_along(self.model, observer, known, self.native, log)
 
     def problem(self, run: Run, order: int) -> Problem:
         """Return what a class of disturbances of an order is fitted to."""
@@ -145,10 +140,6 @@ class Setup:
         layout = run.observer.layout
         said = unpacked_rows(layout, run.stretch.online.predicted)
         return in_layout(said, layout, problem.rows.model.layout)
-
-    @property
-    def _x_hat(self) -> Vector:
-        return values_of(self.values.__getitem__, self.equations.states, "_hat_start")
 
     def tuned(self, changes: Mapping[str, Any], H: float) -> Tuned:
         """Return what an observer with changed values is tuned to at a step H (s)."""

@@ -70,6 +70,7 @@ def page(workbench: Workbench, title: str, folder: Path) -> Dash:
                 "The curves are those of the linearised filter over this log, with the jumps and outliers that are "
                 "known. ndob-fmu estimate runs the real observer."
             ),
+            html.Ul([html.Li(f"warning: {line}") for line in workbench.warnings], className="error"),
             html.Div(
                 [html.Div(controls.layout(), className="settings"), html.Div(_working(_results()), className="shown")],
                 className="columns",

@@ -15,18 +15,15 @@ import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
-from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
 from ndob_fmu.log.along import Samples, Start, in_layout, intensities, record_along
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained, Jumps, with_events
-from ndob_fmu.log.log_columns import Signals
-from ndob_fmu.log.native_run import native_run
-from ndob_fmu.log.online import along
-from ndob_fmu.log.read_log import read_log
+from ndob_fmu.log.first_block import first_block, run_along
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smooth_log import can_smooth, event_spacing, explained_stretch, noise_variance
+from ndob_fmu.log.smooth_log import event_spacing, explained_stretch, noise_variance
+from ndob_fmu.log.smoothable import check_smoothed
 from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, Smoothed
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
@@ -88,7 +85,8 @@ class _Linear:
 class Workbench:
     """A log, which `shown` filters with any settings. It remembers what is costly. Not for several threads at once.
 
-    Only the first 30 000 rows are read; `native` is as in `estimate_log`. Raises UsageError for a log or values that
+    Only the first 30 000 rows are read; `native` is as in `estimate_log`. `warnings` say what in the log does not look
+    like the model's signals. Raises UsageError for a log or values that
     cannot be used, DesignError and AssumptionError where the observer cannot be designed, IntegrationError where its
     estimate leaves the finite numbers.
     """
@@ -112,18 +110,11 @@ class Workbench:
         self._latest: tuple[tuple[Settings, Events], Tuned, _Linear, Explained] | None = None
         self.told = settings_of(eq, self._values)
         observer = self._observer(self.told)
-        if eq.channel is not None or not can_smooth(observer):
-            raise UsageError.report(
-                "tune",
-                expected="a plant without a channel, outputs without a delay, and disturbance_order 1 or more",
-                received="another one",
-                likely="--start-values disturbance_order 1",
-            )
-        block = next(read_log(path, Signals(eq.inputs, eq.outputs, eq.units, names or {}, units or {})))
-        begin(f"running the observer along {len(block.time)} rows of the log")
-        self._x_hat = values_of(self._values.__getitem__, eq.states, "_hat_start")
-        with native_run(model, native, self._values, observer, self._x_hat, len(block.time)) as run:
-            self.stretch = next(along(observer, self._x_hat, iter([block]), run))
+        check_smoothed("tune", eq, observer)
+        block = first_block(eq, path, names, units)
+        begin(f"running the observer along {block.rows} rows of the log")
+        run = run_along(model, observer, self._values, native, block.log)
+        self.stretch, self.warnings = run.stretch, run.warnings
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)
@@ -173,7 +164,8 @@ class Workbench:
         return self._tunings[key]
 
     def _start(self, observer: SampledObserver, model: FilterModel) -> Start:
-        return Start(model.layout.unpacked(observer.init(self._x_hat).xi_hat), np.diag(model.start_std))
+        x_hat = values_of(self._values.__getitem__, self.equations.states, "_hat_start")
+        return Start(model.layout.unpacked(observer.init(x_hat).xi_hat), np.diag(model.start_std))
 
     def _record(self, settings: Settings) -> tuple[Tuned, _Linear, WholeRecord]:
         """Return the record with the noise of the settings."""
