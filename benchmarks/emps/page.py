@@ -181,9 +181,9 @@ The first 0.2 s are not judged. "Away from the edges" leaves out {before:g} ms b
 The online estimate cannot know a jump before samples show it: an edge moves the position from the next sample on, and
 a row's estimate is made of the samples before that row. These two rows at each edge alone make {least:.1f} N. Later
 samples show where the jump was. What is left is an error of the model: ripple of the spindle, and friction when the
-drive turns. The observer finds this force too. It is not in the made one, so that the narrow bands of the later
-estimates hold fewer than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another day
-would be a harder test.
+drive turns. The observer finds this force too. It is not in the made one. All bands hold what the error bars of the
+parameters make of it, which is most of it; the later estimates have little else in theirs, so that they hold fewer
+than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another day would be a harder test.
 
 ![Each estimate with its error bar around an edge]({edge})
 

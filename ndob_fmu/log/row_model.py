@@ -76,6 +76,16 @@ class RowModel:
             C[:, output, layout.biases.start + place] = 1.0
         return C
 
+    def taken_for_disturbance(self, xi: Array, u: Array) -> Array:
+        """Return `FilterModel.taken_for_disturbance` (K,q2)."""
+        model, n = self.model, self.model.layout.n
+        if not np.any(model.like_disturbance):
+            return np.zeros((len(xi), model.layout.q))
+        both, by_parameters = self._slopes(xi, u)
+        size, std = model.start_std[:n, None], model.like_disturbance * model.start_std[model.layout.parameters]
+        W = np.linalg.pinv(both[:, :n, n:] / size) @ (by_parameters[:, :n] / size)
+        return np.asarray(((W * std) ** 2).sum(axis=2))
+
     def noise_sizes(self, intensity: Array, H: Array) -> Array:
         """Return `FilterModel.noise_sizes` (K,c) in steps H (K,) s; intensity (K,q2), or (q2,) for all."""
         told, undriven = np.array(self.model.settings.state_noise, dtype=float), self.model.undriven

@@ -20,6 +20,7 @@ from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from ndob_fmu.runtime.step.tracking_step import as_published
 from ndob_fmu.runtime.step.tuned import Tuned, filter_model
 
 # Rows of the next stretch that a stretch is smoothed with; later samples say nothing more about it.
@@ -78,7 +79,7 @@ def smooth(
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
         found, trajectory = explained_stretch(tuned, equations, part, start, started)
         K = len(stretch.log.time)
-        yield stretch, smoothed_stretch(tuned.model, found, trajectory, K)
+        yield stretch, smoothed_stretch(equations, found, trajectory, part.log.inputs, K)
         if following is None:
             return
         start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
@@ -116,16 +117,18 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
     return np.asarray(model.noise_variance * np.reshape(used, believed.shape))
 
 
-def smoothed_stretch(model: FilterModel, found: Explained, about: Array, rows: int) -> SmoothedStretch:
-    """Return the smoothed estimate at the first rows."""
-    n, d = model.layout.n, model.layout.disturbance
+def smoothed_stretch(equations: RowModel, found: Explained, about: Array, inputs: Array, rows: int) -> SmoothedStretch:
+    """Return the smoothed estimate at the first rows, for inputs (K,m)."""
+    model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
     all_rows = Smoothed(found.forward, found.adjoint)
     xi, std = about[:rows] + all_rows.xi[:rows], all_rows.std[:rows]
+    more = equations.taken_for_disturbance(about[:rows], inputs[:rows])
+    d, d_std = as_published(model, xi[:, places], std[:, places] ** 2 + more)
     return SmoothedStretch(
         x=xi[:, :n],
         x_std=std[:, :n],
-        d=xi[:, d],
-        d_std=np.minimum(std[:, d], model.bound),
+        d=d,
+        d_std=d_std,
         jumps=sum(k < rows for k in found.events.jumps),
         outliers=sum(k < rows for k, _ in found.events.outliers),
     )

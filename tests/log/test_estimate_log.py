@@ -133,6 +133,19 @@ def test_later_samples_make_the_estimate_better_and_the_bar_says_how_good(usual)
     assert np.median(table["smoother.wind_std"]) < 3.0 * smoothed
 
 
+def test_the_bar_of_the_smoothed_estimate_holds_a_wrong_mass_of_which_it_is_told(tmp_path, without_figures):
+    """A wrong mass acts as wind does: no sample, earlier or later, tells them apart."""
+    time = 0.01 * np.arange(1500)
+    wind = gusts(time % 7.0)
+    log = write_log(tmp_path / "log.csv", time, *simulated(time, wind, [*NOISE.values()], 8))
+    told = {**TUNED, "mass": 2.3, "mass_std": 0.2}
+    estimate_log(CART, log, tmp_path, start_values=told)
+    table, rows = read_csv(tmp_path / "result.csv"), slice(50, -50)
+    inside = np.abs(table["smoother.wind"] - wind) < 2.0 * table["smoother.wind_std"]
+    assert np.mean(inside[rows]) > 0.9
+    assert np.median(table["smoother.wind_std"]) < rms((table["smoother.wind"] - wind)[rows])
+
+
 def test_a_log_that_fits_the_settings_has_no_verdict(usual):
     _, found, _ = usual
     assert found.verdicts == ()

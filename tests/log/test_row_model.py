@@ -13,6 +13,7 @@ from ndob_fmu.model.loading import load_model
 from ndob_fmu.runtime.step.error_columns import joined
 from ndob_fmu.runtime.step.time_update import predict
 from tests.log.test_estimate_log import CART
+from tests.runtime.test_general_plants import DRIVE
 
 CASES = {
     "cart": (CART, {"estimate_parameters": True, "mass_std": 0.2, "place_bias_std": 0.1, "disturbance_order": 1}),
@@ -65,6 +66,17 @@ def test_the_noise_of_all_steps_is_that_of_each_step(case):
     as_told = [1.0] * len(eq.outputs)
     expected = [tuned.model.noise_sizes(tuned.intensity(H, as_told), H) for H in steps.tolist()]
     np.testing.assert_allclose(found, expected, rtol=1e-13)
+
+
+def test_what_parameters_add_to_the_error_bar_of_all_rows_is_that_of_each_row():
+    eq = compile_model(DRIVE)
+    found = told_observer(eq, told_values(eq, {}).__getitem__, print).tuned(1e-2).model
+    random, K = np.random.default_rng(4), 6
+    xi, u = random.standard_normal((K, found.layout.size)), random.standard_normal((K, 1))
+    added = RowModel(found, row_functions(DRIVE)).taken_for_disturbance(xi, u)
+    expected = [found.taken_for_disturbance(one, of.tolist()) for one, of in zip(xi, u, strict=True)]
+    assert np.min(expected) > 0.0
+    np.testing.assert_allclose(added, expected, rtol=1e-12)
 
 
 def test_a_chain_of_integrators_has_units_in_which_its_norm_is_small_however_long_the_step():

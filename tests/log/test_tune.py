@@ -50,12 +50,13 @@ def workbench(log):
     return Workbench(CART, log, start_values=TOLD)
 
 
-def test_with_the_settings_as_told_the_page_shows_the_smoothed_estimate_of_estimate(workbench, log):
-    observer = told_observer(EQUATIONS, told_values(EQUATIONS, TOLD).__getitem__, print)
+@pytest.mark.parametrize("more", [{}, {"drag_std": 0.03}], ids=["known", "uncertain drag"])
+def test_with_the_settings_as_told_the_page_shows_the_smoothed_estimate_of_estimate(workbench, log, more):
+    observer = told_observer(EQUATIONS, told_values(EQUATIONS, {**TOLD, **more}).__getitem__, print)
     blocks = read_log(log, Signals(EQUATIONS.inputs, EQUATIONS.outputs, EQUATIONS.units, {}, {}))
     stretches = along(observer, [0.0, 0.0], blocks)
     ((_, expected),) = smooth(observer, row_functions(CART), [0.0, 0.0], stretches)
-    shown = workbench.shown(workbench.told)
+    shown = (Workbench(CART, log, start_values={**TOLD, **more}) if more else workbench).shown(workbench.told)
     assert (shown.jumps, shown.outliers) == (expected.jumps, expected.outliers)
     np.testing.assert_allclose(shown.smoothed.d, expected.d, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(shown.smoothed.std, expected.d_std, rtol=1e-9)

@@ -33,6 +33,7 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
+from ndob_fmu.runtime.step.tracking_step import as_published
 from ndob_fmu.runtime.step.tuned import Tuned
 from ndob_fmu.support.progress import begin
 
@@ -74,12 +75,14 @@ class _Linear:
     """A log about a trajectory (K,N), in the layout of an order: the record and the columns of jumps.
 
     sizes (K-1,c): of the noise in the record
+    more (K,q2): variance of d̂ by parameters, as in `RowModel.taken_for_disturbance`
     """
 
     trajectory: Array
     record: LinearRecord
     columns: Jumps
     sizes: Array
+    more: Array
 
 
 class Workbench:
@@ -192,15 +195,16 @@ class Workbench:
     def _linearised(self, observer: SampledObserver, tuned: Tuned) -> _Linear:
         model, log, step = tuned.model, self.stretch.log, self.stretch.step[:-1]
         told = np.broadcast_to(model.noise_variance, log.outputs.shape)
-        trajectory = in_layout(self._about, self._layout, model.layout)
+        rows, trajectory = RowModel(model, self._functions), in_layout(self._about, self._layout, model.layout)
         record, columns = record_along(
-            RowModel(model, self._functions),
+            rows,
             Samples(step, log.inputs, log.outputs, told),
             trajectory,
             lambda steps: intensities(tuned, steps),
             self._start(observer, model),
         )
-        return _Linear(trajectory, record, columns, self._noise_sizes(tuned))
+        more = rows.taken_for_disturbance(trajectory, log.inputs)
+        return _Linear(trajectory, record, columns, self._noise_sizes(tuned), more)
 
     def _noise_sizes(self, tuned: Tuned) -> Array:
         """Return the square roots of the noise's intensities (K-1,c) in the steps."""
@@ -217,9 +221,9 @@ class Workbench:
         )
         rows = round(settings.lag / self.stretch.usual)
         return Shown(
-            online=_filtered(model, linear.trajectory, run),
-            lagged=_with(model, linear.trajectory, run, lagged_adjoint(found.record, run, rows)) if rows else None,
-            smoothed=_with(model, linear.trajectory, run, found.adjoint),
+            online=_filtered(model, linear, run),
+            lagged=_with(model, linear, run, lagged_adjoint(found.record, run, rows)) if rows else None,
+            smoothed=_with(model, linear, run, found.adjoint),
             residual=residual,
             residual_std=residual_std,
             jumps=len(found.events.jumps),
@@ -255,19 +259,19 @@ def _without_lag(settings: Settings) -> Settings:
     return replace(settings, lag=float(settings.lag > 0.0))
 
 
-def _filtered(model: FilterModel, trajectory: Array, run: Forward) -> Band:
+def _filtered(model: FilterModel, linear: _Linear, run: Forward) -> Band:
     """Return the estimate from the samples up to each row."""
     d = model.layout.disturbance
     before = (run.factor[:, d] ** 2).sum(axis=2)
     alpha = np.where(np.isfinite(run.alpha), run.alpha, 0.0)
     gain = run.gain[:, :, d]
-    value = trajectory[:, d] + run.xi[:, d] + (gain * run.innovation[:, :, None]).sum(axis=1)
+    value = linear.trajectory[:, d] + run.xi[:, d] + (gain * run.innovation[:, :, None]).sum(axis=1)
     variance = before - (gain**2 * alpha[:, :, None]).sum(axis=1)
-    return Band(value, np.minimum(np.sqrt(np.maximum(variance, 0.0)), model.bound))
+    return Band(*as_published(model, value, np.maximum(variance, 0.0) + linear.more))
 
 
-def _with(model: FilterModel, trajectory: Array, run: Forward, adjoint: Adjoint) -> Band:
+def _with(model: FilterModel, linear: _Linear, run: Forward, adjoint: Adjoint) -> Band:
     """Return the estimate with the later samples that an adjoint knows."""
     d = model.layout.disturbance
     found = Smoothed(run, adjoint)
-    return Band(trajectory[:, d] + found.xi[:, d], np.minimum(found.std[:, d], model.bound))
+    return Band(*as_published(model, linear.trajectory[:, d] + found.xi[:, d], found.std[:, d] ** 2 + linear.more))

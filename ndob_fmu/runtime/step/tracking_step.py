@@ -42,7 +42,7 @@ def step_with_covariance(
     at_sample = xi
     if added.shift is not None:
         at_sample = _with_shift(model, xi, added.shift)
-    d_at_sample, at_sample_std = _published(
+    d_at_sample, at_sample_std = as_published(
         model, at_sample[d], _variance_of_disturbance(model, columns, added.variance) + more
     )
     d_lagged, d_lagged_std = d_at_sample, at_sample_std
@@ -55,7 +55,7 @@ def step_with_covariance(
             shift, variance_of_past = moments(measured.jumps, lagged.signatures)
             shown = moved(lagged, shift, variance_of_past)
         d_lagged, d_lagged_std = at_lag(shown, model.settings.lag, layout.q)
-        d_lagged, d_lagged_std = _published(model, d_lagged, d_lagged_std**2 + more)
+        d_lagged, d_lagged_std = as_published(model, d_lagged, d_lagged_std**2 + more)
     past_age = memory.past_age
     if model.delayed:
         xi, columns, past_age = _with_this_sample(model, xi, columns, past_age, state.u, H)
@@ -69,7 +69,7 @@ def step_with_covariance(
         )
         variance = (end.Phi**2) @ added.variance[:N]
     more = model.taken_for_disturbance(end.xi, u)
-    d_hat, d_std = _published(model, published[d], _variance_of_disturbance(model, end.columns, variance) + more)
+    d_hat, d_std = as_published(model, published[d], _variance_of_disturbance(model, end.columns, variance) + more)
 
     columns, jumps = end.columns, later_bank(measured.jumps, H)
     # Where the last hypotheses are nearer than the spacing, a jump between cannot be told from them.
@@ -138,7 +138,7 @@ def _variance_of_disturbance(model: FilterModel, columns: ErrorColumns, variance
     return np.asarray(total)
 
 
-def _published(model: FilterModel, d: Array, variance: Array) -> tuple[Array, Array]:
+def as_published(model: FilterModel, d: Array, variance: Array) -> tuple[Array, Array]:
     """Return what is published of d̂ (q2,) with a variance (q2,), and its error bar, at most D₀.
 
     Where considered parameters make the variance larger than D₀², the bound counts as a measurement, as in `bounded`,
