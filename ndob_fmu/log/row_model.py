@@ -51,6 +51,9 @@ class RowSteps:
 class RowModel:
     """An observer's equations for rows ξ (K,N) and u (K,m).
 
+    Uncertain parameters are those of the rows, also where the observer only considers them: all samples together tell
+    them. Those that act as d does stay as told.
+
     Outside the ranges of states and inputs they go on along their tangent, as `design.ranges` says.
     """
 
@@ -193,8 +196,8 @@ class RowModel:
         of_x, of_u = self._limits
         d = xi[:, layout.disturbance] if layout.order else np.zeros((len(xi), layout.q))
         p = np.tile(np.array(model.parameters, dtype=float), (len(xi), 1))
-        if any(model.settings.estimated[i] for i in layout.uncertain):
-            p[:, list(layout.uncertain)] = xi[:, layout.parameters]
+        told = [i for i, like in zip(layout.uncertain, model.like_disturbance, strict=True) if not like]
+        p[:, told] = xi[:, layout.parameters][:, model.like_disturbance == 0.0]
         return np.clip(xi[:, : layout.n], *of_x), np.clip(u, *of_u), d, p
 
     @cached_property

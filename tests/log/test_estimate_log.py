@@ -14,12 +14,14 @@ from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.diagnostics import OutputDiagnosis
 from ndob_fmu.log.estimate_figures import Thinned, write_figures
 from ndob_fmu.log.estimate_log import estimate_log
+from ndob_fmu.log.made_log import Sensor, make_log
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.results import plots
 from ndob_fmu.results.csv_files import read_csv
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.results.shown_time import ShownTime
+from tests.runtime.test_general_plants import DRIVE
 
 NOISE = {"place": 1e-3, "rate": 5e-2}
 CART = Model(
@@ -144,6 +146,23 @@ def test_the_bar_of_the_smoothed_estimate_holds_a_wrong_mass_of_which_it_is_told
     inside = np.abs(table["smoother.wind"] - wind) < 2.0 * table["smoother.wind_std"]
     assert np.mean(inside[rows]) > 0.9
     assert np.median(table["smoother.wind_std"]) < rms((table["smoother.wind"] - wind)[rows])
+
+
+def test_all_samples_together_tell_an_uncertain_parameter_that_acts_otherwise_than_the_disturbance(
+    tmp_path, without_figures
+):
+    """The equations are linear about the parameter that the first pass finds, not about the one that was told."""
+    noise = dict.fromkeys(("angle", "current"), Sensor(noise_std=1e-4))
+    true, load = {"flux": 1.3, "inductance": 0.01}, {"load": lambda t: 0.5 * np.sin(2.0 * t)}
+    drive = {"step": 0.01, "stop_time": 6.0, "disturbances": load, "sensors": noise, "parameters": true}
+    truth = make_log(DRIVE, tmp_path / "log.csv", lambda t, x: [4.0 + 2.0 * np.sin(3.0 * t)], **drive)
+    told = dict.fromkeys(("inertia_std", "friction_std", "inductance_std"), 0.0)
+    told |= {"flux_std": 0.2, "inductance": 0.01, "angle_noise_std": 1e-4, "current_noise_std": 1e-4}
+    estimate_log(DRIVE, tmp_path / "log.csv", tmp_path, start_values={**told, "disturbance_order": 2})
+    table, rows = read_csv(tmp_path / "result.csv"), slice(30, -10)
+    error = (table["smoother.load"] - read_csv(truth)["load"])[rows]
+    assert np.mean(np.abs(error) < 2.0 * table["smoother.load_std"][rows]) > 0.9
+    assert np.median(table["smoother.load_std"]) < 2.0 * rms(error)
 
 
 def test_a_log_that_fits_the_settings_has_no_verdict(usual):

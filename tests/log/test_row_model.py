@@ -73,6 +73,7 @@ def test_what_parameters_add_to_the_error_bar_of_all_rows_is_that_of_each_row():
     found = told_observer(eq, told_values(eq, {}).__getitem__, print).tuned(1e-2).model
     random, K = np.random.default_rng(4), 6
     xi, u = random.standard_normal((K, found.layout.size)), random.standard_normal((K, 1))
+    xi[:, found.layout.parameters] = found.parameters
     added = RowModel(found, row_functions(DRIVE)).taken_for_disturbance(xi, u)
     expected = [found.taken_for_disturbance(one, of.tolist()) for one, of in zip(xi, u, strict=True)]
     assert np.min(expected) > 0.0
