@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.log.events import Jumps
+from ndob_fmu.log.linear_record import LinearRecord
 from ndob_fmu.log.row_model import NODE_WEIGHTS, RowModel
-from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.tuned import Tuned
@@ -72,12 +72,19 @@ def intensities(tuned: Tuned, steps: Array) -> Array:
 
 
 def record_along(
-    rows: RowModel, samples: Samples, trajectory: Array, intensity: Callable[[Array], Array], start: Start
+    rows: RowModel,
+    samples: Samples,
+    trajectory: Array,
+    intensity: Callable[[Array], Array],
+    start: Start,
+    *,
+    apart: bool,
 ) -> tuple[LinearRecord, Jumps]:
     """Return a record about a trajectory ξ (K,N), and the columns of jumps of d at each instant.
 
     intensity: of the noise behind the r-th derivative of d (K-1,q2), for steps (K-1,) s; or (q2,), the same for all
     start: what is known before the first sample
+    apart: whether each column of `FilterModel.noise_directions` has N columns of its own in the noise of the record
 
     Raises IntegrationError where the equations cannot be followed along a step.
     """
@@ -85,13 +92,14 @@ def record_along(
     # A sample belongs to the input until then, which outputs with feed-through show.
     before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
     sizes = rows.noise_sizes(intensity(samples.step), samples.step)
-    steps = rows.steps(trajectory[:-1], samples.inputs[:-1], samples.step, model.noise_directions)
+    directions = model.noise_directions
+    steps = rows.steps(trajectory[:-1], samples.inputs[:-1], samples.step, directions, sizes, apart=apart)
     in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
-    jumps = steps.jumps * np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None, None] * model.bound
-    in_step[1:] = jumps.transpose(0, 2, 1, 3).reshape(K - 1, N, -1)
+    weights = np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None] * model.bound
+    np.multiply(steps.jumps, weights, out=in_step[1:].reshape(steps.jumps.shape))
     record = LinearRecord(
         Phi=steps.Phi,
-        noise=np.multiply(steps.noise, sizes[:, None, :, None], out=steps.noise).reshape(K - 1, N, -1),
+        noise=steps.noise,
         shift=steps.end - trajectory[1:],
         rows=rows.output_slopes(trajectory, before),
         misfit=samples.outputs - rows.output(trajectory, before),

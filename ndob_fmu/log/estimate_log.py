@@ -22,7 +22,7 @@ from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Run, Stretch, along
 from ndob_fmu.log.plausible import plausibility, with_likely_cause
 from ndob_fmu.log.read_log import read_log
-from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable
+from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable, table_lines
 from ndob_fmu.log.smooth_log import SmoothedStretch, smooth, start_samples
 from ndob_fmu.log.smoothable import not_smoothed
 from ndob_fmu.log.told_values import told_values
@@ -143,7 +143,7 @@ def estimate_log(
             np.errstate(over="ignore", invalid="ignore"),
         ):
             try:
-                write_csv_parts(new / RESULT, rows(run))
+                write_csv_parts(new / RESULT, rows(run), table_lines)
             except IntegrationError as error:
                 raise IntegrationError(with_likely_cause(str(error), check.warnings())) from error
         diagnoses = dict(zip(eq.outputs, tally.diagnoses(), strict=True))

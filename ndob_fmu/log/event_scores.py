@@ -45,8 +45,8 @@ class EventScores:
 
     def __init__(self, found: Explained, sources: Mapping[Event, Source]) -> None:
         adjoint = found.adjoint
-        self.of_state, self.of_state_variance = adjoint.of_state.copy(), adjoint.of_state_variance.copy()
-        self.of_sample, self.of_sample_variance = adjoint.of_sample.copy(), adjoint.of_sample_variance.copy()
+        self.of_state, self.of_state_variance = adjoint.of_state, adjoint.of_state_variance
+        self.of_sample, self.of_sample_variance = adjoint.of_sample, adjoint.of_sample_variance
         self._along, self._effects = AlongRecord(found), list[tuple[Effect, Array]]()
         self.are_known, self.known = True, dict[Event, Known]()
         for which, source in sources.items():
@@ -58,6 +58,9 @@ class EventScores:
         if (len(self._effects) + len(gone) + len(new)) * _ROWS_OF_A_CHANGE > len(self.of_state):
             self.are_known = False
             return np.zeros(0, dtype=np.intp)
+        if not self._effects:  # so far the scores are those that were found
+            self.of_state, self.of_state_variance = self.of_state.copy(), self.of_state_variance.copy()
+            self.of_sample, self.of_sample_variance = self.of_sample.copy(), self.of_sample_variance.copy()
         sources = [*(self.known[which].source for which in gone), *new.values()]
         own = [*(self._of_gone(which) for which in gone), *(self._of_new(source)[:2] for source in new.values())]
         alone = self._along.effects(sources, *zip(*own, strict=True))

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu.log.c_library import c_library
 from ndob_fmu.log.event_effects import Source
 from ndob_fmu.log.event_scores import Event, EventScores, Known
 from ndob_fmu.log.events import (
@@ -40,6 +41,8 @@ _MOST_PASSES, _MOST_ROUNDS = 20, 40
 _REACH = 10
 # One that was given up may come back, so many times: where events take turns, the search ends.
 _MOST_RETURNS = 1
+
+Rows = slice | NDArray[np.intp]
 
 
 def explained(record: Filtered, columns: Jumps, spacing: int, first: int, known: Events | None = None) -> Explained:
@@ -113,7 +116,7 @@ class Search:
 
     def _judge(self, rows: NDArray[np.intp]) -> None:
         """Find what events at some rows explain, less what they cost."""
-        for some in np.array_split(rows, len(rows) // NEAR + 1):
+        for some in map(_not_copied, np.array_split(rows, len(rows) // NEAR + 1)):
             self._at_sample[some] = self._gained_by_jumps(some, self._columns.at_sample) - AT_SAMPLE_COSTS
             self._in_step[some] = self._gained_by_jumps(some, self._columns.in_step) - IN_STEP_COSTS
             self._outliers[some] = self._gained_by_outliers(some) - OUTLIER_COSTS
@@ -150,21 +153,20 @@ class Search:
                 outliers.add((k, int(np.argmax(of_outliers[k]))))
         return Events(jumps, frozenset(outliers))
 
-    def _gained_by_jumps(self, rows: NDArray[np.intp], columns: Array) -> Array:
+    def _gained_by_jumps(self, rows: Rows, columns: Array) -> Array:
         """Return what a jump with columns (K,N,c) explains at rows, of those that are known, what they do."""
-        scores, variances, columns = self.scores.of_state[rows], self.scores.of_state_variance[rows], columns[rows]
-        score = np.einsum("knc,kn->kc", columns, scores)
-        variance = np.swapaxes(columns, 1, 2) @ variances @ columns
+        scores, variances = self.scores.of_state, self.scores.of_state_variance
+        gained = explained_by(columns[rows], scores[rows], variances[rows])
         for place, known in self._known_at(rows, jumps=True):  # as without the one that is there
-            across = columns[place].T @ variances[place] @ known.source.columns
+            k = known.source.k
+            across = columns[k].T @ variances[k] @ known.source.columns
             without = np.linalg.solve(known.left, np.column_stack([across.T, known.score]))
-            score[place] += across @ without[:, -1]
-            variance[place] += across @ without[:, :-1]
-        whole = np.eye(columns.shape[2]) + variance
-        told = np.linalg.solve(whole, score[:, :, None])[:, :, 0]
-        return np.asarray(0.5 * (np.einsum("kc,kc->k", score, told) - np.linalg.slogdet(whole)[1]))
+            score = columns[k].T @ scores[k] + across @ without[:, -1]
+            variance = columns[k].T @ variances[k] @ columns[k] + across @ without[:, :-1]
+            gained[place] = _eliminated(score[None], variance[None])[0]
+        return gained
 
-    def _gained_by_outliers(self, rows: NDArray[np.intp]) -> Array:
+    def _gained_by_outliers(self, rows: Rows) -> Array:
         """Return what an outlier in each sample explains at rows (·,p)."""
         size = np.sqrt(self._more[rows])
         # Rounding errors of changes may leave less than nothing.
@@ -176,10 +178,44 @@ class Search:
             score[at], variance[at] = without * known.score[0], without - 1.0
         return np.asarray(0.5 * (score**2 / (1.0 + variance) - np.log1p(variance)))
 
-    def _known_at(self, rows: NDArray[np.intp], *, jumps: bool) -> Iterator[tuple[int, Known]]:
+    def _known_at(self, rows: Rows, *, jumps: bool) -> Iterator[tuple[int, Known]]:
         """Yield the jumps, or the outliers, that are known at rows, and their places there."""
-        known, outputs = self.scores.known, (None,) if jumps else range(self._more.shape[1])
-        for place, k in enumerate(rows.tolist()):
-            for output in outputs:
-                if (k, output) in known:
-                    yield place, known[k, output]
+        numbers = np.arange(len(self._more))[rows] if isinstance(rows, slice) else rows
+        for (k, output), known in self.scores.known.items():
+            place = int(np.searchsorted(numbers, k))
+            if (output is None) == jumps and place < len(numbers) and numbers[place] == k:
+                yield place, known
+
+
+def _not_copied(rows: NDArray[np.intp]) -> Rows:
+    """Return rows as a slice where they follow one another."""
+    return slice(rows[0], rows[-1] + 1) if len(rows) and rows[-1] - rows[0] == len(rows) - 1 else rows
+
+
+def explained_by(columns: Array, scores: Array, variances: Array) -> Array:
+    """Return what events with columns J (K,N,c) explain, by scores λ (K,N) and their variances Λ (K,N,N).
+
+    Raises LinAlgError where rounding errors leave no variance.
+    """
+    in_c = c_library(len(columns))
+    if in_c is None:
+        score = np.einsum("knc,kn->kc", columns, scores)
+        return _eliminated(score, np.swapaxes(columns, 1, 2) @ variances @ columns)
+    found = in_c.explained_by(columns, scores, variances)
+    if np.isneginf(found).any():
+        raise np.linalg.LinAlgError("no variance is left")
+    return found
+
+
+def _eliminated(score: Array, variance: Array) -> Array:
+    """Return ½ (lᵀ (I + M)⁻¹ l − log det (I + M)) for l (K,c) and M (K,c,c) by elimination, all rows at once."""
+    c = score.shape[1]
+    left, gained = np.concatenate([np.eye(c) + variance, score[:, :, None]], axis=2), np.zeros(len(score))
+    for _ in range(c):
+        pivot = left[:, 0, 0]
+        if (pivot <= 0.0).any():
+            raise np.linalg.LinAlgError("no variance is left")
+        row = left[:, 0, 1:] / pivot[:, None]
+        gained += left[:, 0, -1] * row[:, -1] - np.log(pivot)
+        left = left[:, 1:, 1:] - left[:, 1:, :1] * row[:, None]
+    return 0.5 * gained

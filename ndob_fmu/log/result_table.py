@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ndob_fmu.interface.model_variables import observer_variables
+from ndob_fmu.log.c_library import c_library
 from ndob_fmu.log.online import Online, Stretch
 from ndob_fmu.log.smooth_log import SmoothedStretch
+from ndob_fmu.results.csv_files import csv_lines
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations
@@ -52,6 +54,12 @@ class ResultTable:
         if smoothed is not None:
             parts += [smoothed.x, smoothed.d, smoothed.x_std, smoothed.d_std]
         return Recording(stretch.log.time, self._names, np.hstack(parts), self._types, self.units)
+
+
+def table_lines(rows: Array, whole: Sequence[int]) -> str:
+    """Return `csv_lines` of rows."""
+    in_c = c_library(len(rows))
+    return csv_lines(rows, whole) if in_c is None else in_c.lines(rows, whole)
 
 
 def _published(said: Online | Estimate) -> Sequence[Array | Sequence[float] | float]:

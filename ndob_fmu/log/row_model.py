@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.codegen.row_functions import RowFunction, RowFunctions
-from ndob_fmu.log.row_transition import row_transition
+from ndob_fmu.log.row_transition import RowTransition, row_transition
 from ndob_fmu.log.smoother import lower_factor
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import IntegrationError
@@ -37,8 +37,8 @@ class RowSteps:
 
     end (K,N): ξ at the end
     Phi (K,N,N): Φ of the step
-    noise (K,N,c,N): for each column of a channel, a factor of the covariance that white noise through it adds
-    jumps (K,3,N,q2): responses at the end to jumps of d at three nodes within the step
+    noise (K,N,·): a factor of the covariance that white noise adds; with N columns for each of a channel, or for all
+    jumps (K,N,3,q2): responses at the end to jumps of d at three nodes within the step
     """
 
     end: Array
@@ -97,48 +97,56 @@ class RowModel:
         on_d = np.broadcast_to(intensity, (len(H), self.model.layout.q))
         return np.asarray(np.sqrt(np.hstack([on_d, on_states])))
 
-    def steps(self, xi: Array, u: Array, H: Array, channel: Array) -> RowSteps:
-        """Return the steps of H (K,) s from each row, and what white noise through a channel (N,c) adds.
+    def steps(self, xi: Array, u: Array, H: Array, channel: Array, sizes: Array, *, apart: bool) -> RowSteps:
+        """Return the steps of H (K,) s from each row, with white noise through a channel (N,c) of sizes (K,c).
+
+        apart: whether the noise through each column of the channel has columns of its own
 
         Raises IntegrationError where the equations cannot be followed.
         """
-        F = self._rates_slopes(xi, u)
-        usual = np.quantile(np.abs(F), _USUAL, axis=0, method="higher")
-        units = calm_units(usual * np.max(H), self.model.units(np.max(np.abs(F), axis=0), float(np.max(H))))
-        size = (np.abs(F) * (units / units[:, None])).sum(axis=1).max(axis=1) * H
+        F, longest = self._rates_slopes(xi, u), float(np.max(H))
+        usual = np.quantile(np.abs(F[:: len(F) // _NEAR + 1]), _USUAL, axis=0, method="higher")
+        most = np.maximum(F.max(axis=0), -F.min(axis=0))
+        units = calm_units(usual * longest, self.model.units(most, longest))
+        near = np.array_split(F, len(F) // _NEAR + 1)
+        size = np.concatenate([((1.0 / units) @ np.abs(some) * units).max(axis=1) for some in near]) * H
         if not np.isfinite(size).all():
             raise _left_the_numbers()
         K, N, c, q = len(xi), *channel.shape, self.model.layout.q
         parts = np.minimum(2 ** np.ceil(np.log2(np.maximum(size / _SHORT, 1.0))), _MOST_PARTS).astype(int)
         found = RowSteps(
-            np.empty((K, N)), np.empty((K, N, N)), np.empty((K, N, c, N)), np.empty((K, len(_AFTER), N, q))
+            np.empty((K, N)), np.empty((K, N, N)), np.empty((K, N, c * N if apart else N)), np.empty((K, N, 3, q))
         )
         for count, rows in _groups(parts):
             stiff = bool(np.max(size[rows]) > count * _SHORT)
-            part = self._steps_in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, stiff=stiff)
-            found.end[rows], found.Phi[rows] = part.end, part.Phi
-            found.noise[rows], found.jumps[rows] = np.swapaxes(part.noise, 1, 2), part.jumps
+            end, done = self._in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, stiff=stiff)
+            found.end[rows], found.Phi[rows], found.jumps[rows] = end, done.Phi, done.responses
+            done.noise[:] *= sizes[rows][:, None, :, None]
+            noise = done.noise.reshape(len(rows), N, c * N)
+            found.noise[rows] = noise if apart or c == 1 else lower_factor(noise)
         return found
 
-    def _steps_in_parts(
+    def _in_parts(
         self, xi: Array, u: Array, H: Array, F: Array, channel: Array, units: Array, parts: int, *, stiff: bool
-    ) -> RowSteps:
-        """Return steps in so many parts, with noise (K,c,N,N); F (K,N,N) is that of their start."""
+    ) -> tuple[Array, RowTransition]:
+        """Return the ends (K,N) of steps in so many parts, and the transitions; F (K,N,N) is that of their start."""
         K, N, c = len(xi), *channel.shape
         h, first, jump = H / parts, F, self.model.jump_channel
-        Phi, noise = np.broadcast_to(np.eye(N), (K, N, N)), np.zeros((K, c, N, 0))
+        Phi, noise = np.broadcast_to(np.eye(N), (K, N, N)), np.zeros((K, N, c, 0))
         for _ in range(parts):
             xi = self._predicted_one_by_one(xi, u, h) if stiff else self._runge_kutta(xi, u, h[:, None])
             F_end = self._rates_slopes(xi, u)
             if not np.isfinite(F_end).all():
                 raise _left_the_numbers()
             done = row_transition(0.5 * (F + F_end), channel, h, jump, _AFTER, units)
-            noise = np.concatenate([done.Phi[:, None] @ noise, done.noise], axis=-1)
+            if parts == 1:
+                return xi, done
+            moved = (done.Phi @ noise.reshape(K, N, -1)).reshape(noise.shape)
+            noise = np.concatenate([moved, done.noise], axis=-1)
             Phi, F = done.Phi @ Phi, F_end
-        if parts > 1:
-            noise = lower_factor(noise)
-            done = row_transition(0.5 * (first + F), channel[:, :0], H, jump, _AFTER, units)
-        return RowSteps(xi, Phi, noise, done.responses)
+        noise = np.swapaxes(lower_factor(np.swapaxes(noise, 1, 2)), 1, 2)
+        whole = row_transition(0.5 * (first + F), channel[:, :0], H, jump, _AFTER, units)
+        return xi, RowTransition(Phi, noise.copy(), whole.responses)
 
     def _runge_kutta(self, xi: Array, u: Array, h: Array) -> Array:
         k1 = self._rates(xi, u)
@@ -225,8 +233,8 @@ def _groups(parts: NDArray[np.int_]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield a number of parts and rows that have it, as many as the processor keeps near itself."""
     for count in np.unique(parts).tolist():
         rows = np.flatnonzero(parts == count)
-        for first in range(0, len(rows), _NEAR):
-            yield count, rows[first : first + _NEAR]
+        for some in np.array_split(rows, len(rows) // _NEAR + 1):
+            yield count, some
 
 
 def _left_the_numbers() -> IntegrationError:

@@ -11,9 +11,9 @@ from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.along import Samples, Start, intensities, record_along, unpacked_rows
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained
+from ndob_fmu.log.linear_record import Smoothed
 from ndob_fmu.log.online import Stretch
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smoother import Smoothed
 from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
@@ -27,8 +27,6 @@ from ndob_fmu.runtime.step.tuned import Tuned, filter_model
 _LOOK_AHEAD = 2000
 # Rows after which a ratio of the noise, which follows the residuals, can be believed.
 _SURE = 200
-# The equations are linearised along the online estimate, then along the smoothed one.
-_LINEARISATIONS = 2
 _LEAST_SPACING = 3
 
 
@@ -93,18 +91,28 @@ def explained_stretch(
     """Return a stretch as its events explain it, and the trajectory (K,N) about which it is linear.
 
     started: rows of the start, in which the disturbance is unknown anyway
+
+    The equations are linearised along the online estimate, then along the smoothed one.
     """
     model, said = tuned.model, part.online
     samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, noise_variance(model, said.noise_ratio))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
-    trajectory = unpacked_rows(model.layout, said.predicted)
-    for _ in range(1 if model.is_linear else _LINEARISATIONS):
-        record, columns = record_along(equations, samples, trajectory, lambda steps: intensities(tuned, steps), start)
-        found = explained(WholeRecord(record), columns, spacing, started, events)
-        about, events = trajectory, found.events
-        trajectory = about + Smoothed(found.forward, found.adjoint).xi
-    return found, about
+
+    def linearised(trajectory: Array, events: Events) -> Explained:
+        record, columns = record_along(
+            equations, samples, trajectory, lambda steps: intensities(tuned, steps), start, apart=False
+        )
+        return explained(WholeRecord(record), columns, spacing, started, events)
+
+    def smoothed(trajectory: Array, events: Events) -> tuple[Array, Events]:
+        found = linearised(trajectory, events)
+        return trajectory + Smoothed(found.forward, found.adjoint).xi, found.events
+
+    about = unpacked_rows(model.layout, said.predicted)
+    if not model.is_linear:
+        about, events = smoothed(about, events)
+    return linearised(about, events), about
 
 
 def noise_variance(model: FilterModel, ratio: Array) -> Array:

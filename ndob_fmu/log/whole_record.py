@@ -18,7 +18,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.smoother import NEAR, Adjoint, Forward, LinearRecord, backward, forward, lower_factor, through
+from ndob_fmu.log.c_library import c_library
+from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smoother import backward, forward, lower_factor, through
 from ndob_fmu.runtime.arrays import Array
 
 # A piece costs as much as so many steps of all.
@@ -43,6 +45,10 @@ class WholeRecord:
         variance (K,p): of the samples
         jumps: columns (N,·) that are added to the factor of P⁻ at an instant
         """
+        if c_library(len(self.whole.rows)) is not None:
+            told = replace(self._short, variance=variance)
+            run = forward(told, jumps)
+            return run, backward(told, run)
         parts, placed = replace(self._parts, variance=variance[self._numbers]), self._placed(jumps)
         run = forward(parts, placed)
         if self._count > 1:
@@ -53,6 +59,14 @@ class WholeRecord:
             Forward(*map(self._joined, (run.xi, run.factor, run.gain, run.innovation, run.alpha))),
             Adjoint(*map(self._joined, vars(adjoint).values())),
         )
+
+    @cached_property
+    def _short(self) -> LinearRecord:
+        """The record with noise of N columns at most."""
+        noise = self.whole.noise
+        if noise.shape[2] <= self.whole.rows.shape[2]:
+            return self.whole
+        return replace(self.whole, noise=lower_factor(noise))
 
     @cached_property
     def _count(self) -> int:
@@ -72,20 +86,17 @@ class WholeRecord:
     @cached_property
     def _parts(self) -> LinearRecord:
         """The pieces, which start with ξ = 0 for sure, but for the first one."""
-        record, K, N = self.whole, *self.whole.rows.shape[::2]
+        record, K, N = self._short, *self.whole.rows.shape[::2]
         numbers = np.arange(self._length + 1)[:, None] + self._length * np.arange(self._count)
         steps, is_step = np.minimum(numbers[:-1], max(K - 2, 0)), numbers[:-1] < K - 1
         misfit = record.misfit[self._numbers]
         misfit[numbers >= K] = np.nan
         misfit[-1] = np.nan
-        noise = record.noise
-        if noise.shape[2] > N:
-            noise = np.concatenate([lower_factor(noise[first : first + NEAR]) for first in range(0, K, NEAR)])
         start, factor = np.zeros((self._count, N)), np.zeros((self._count, N, N))
         start[0], factor[0] = record.start, record.start_factor
         return LinearRecord(
             Phi=np.where(is_step[..., None, None], record.Phi[steps], np.eye(N)),
-            noise=noise[steps] * is_step[..., None, None],
+            noise=record.noise[steps] * is_step[..., None, None],
             shift=record.shift[steps] * is_step[..., None],
             rows=record.rows[self._numbers],
             misfit=misfit,

@@ -84,7 +84,7 @@ PLATFORMS: Mapping[str, Platform] = {
         ("aarch64-linux-gnu-gcc",),
     ),
 }
-_OPTIONS = ("-std=c11", "-Os", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
+_OPTIONS = ("-std=c11", "-ffp-contract=off", "-shared", "-fvisibility=hidden", "-s", "-Wall", "-Wextra")
 
 
 def this_platform() -> str:
@@ -101,11 +101,12 @@ def has_compiler(target: str) -> bool:
         return False
 
 
-def binary(name: str, files: Mapping[str, str], target: str) -> bytes:
-    """Return the library of a native FMU for a platform, one of PLATFORMS.
+def binary(name: str, files: Mapping[str, str], target: str, *, level: str = "-Os") -> bytes:
+    """Return a library, as that of a native FMU, for a platform, one of PLATFORMS.
 
     name: of the FMU, which is that of its C file too
     files: C files by their names
+    level: the compiler's option for short code or fast code
 
     Raises UsageError where no compiler makes it.
     """
@@ -114,7 +115,7 @@ def binary(name: str, files: Mapping[str, str], target: str) -> bytes:
         for file, text in files.items():
             Path(work, file).write_text(text, "utf-8")
         built = [
-            _compiled(Path(work), f"{name}.c", f"{place}{chosen.suffix}", [*command, *chosen.options], target)
+            _compiled(Path(work), f"{name}.c", f"{place}{chosen.suffix}", [*command, level, *chosen.options], target)
             for place, command in enumerate(_compilers(chosen, target))
         ]
         return built[0] if len(built) == 1 else universal(built)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -12,9 +12,11 @@ import numpy as np
 
 from ndob_fmu.errors import UsageError, some_of
 from ndob_fmu.results.recording import Recording
+from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.files import atomic_path
 
 _VALUES_IN_A_BLOCK = 100_000  # a Python number takes 32 bytes: some megabytes
+Lines = Callable[[Array, Sequence[int]], str]
 _TRUTH = re.compile(r"\b(?:true|false)\b", re.IGNORECASE)  # as fmpy, spreadsheets and JSON write them
 
 
@@ -27,8 +29,21 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     write_csv_parts(path, [recording])
 
 
-def write_csv_parts(path: str | Path, parts: Iterable[Recording]) -> None:
-    """Write recordings of the same signals one after the other as `write_csv`; there must be at least one."""
+def csv_lines(rows: Array, whole: Sequence[int]) -> str:
+    """Return rows (K,·) as lines of a CSV file; `whole`: places of the columns that hold whole numbers."""
+    entries = rows.tolist()
+    for row in entries:
+        for place in whole:
+            row[place] = int(row[place])
+    # Python writes a list of lists as a whole in half the time of its numbers one by one.
+    return repr(entries)[2:-2].replace("], [", "\n").replace(", ", ",") + "\n"
+
+
+def write_csv_parts(path: str | Path, parts: Iterable[Recording], lines: Lines = csv_lines) -> None:
+    """Write recordings of the same signals one after the other as `write_csv`; there must be at least one.
+
+    lines: what writes rows as `csv_lines` does
+    """
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         for i, recording in enumerate(parts):
             if i == 0:
@@ -38,16 +53,7 @@ def write_csv_parts(path: str | Path, parts: Iterable[Recording]) -> None:
             block = max(1, _VALUES_IN_A_BLOCK // (1 + len(recording.types)))
             for first in range(0, len(recording.time), block):
                 some = slice(first, first + block)
-                file.write(_lines(np.column_stack([recording.time[some], recording.columns[some]]).tolist(), whole))
-
-
-def _lines(rows: list[list[float]], whole: list[int]) -> str:
-    """Return lines of a CSV file; `whole`: places of the entries that are whole numbers."""
-    for row in rows:
-        for place in whole:
-            row[place] = int(row[place])
-    # Python writes a list of lists as a whole in half the time of its numbers one by one.
-    return repr(rows)[2:-2].replace("], [", "\n").replace(", ", ",") + "\n"
+                file.write(lines(np.column_stack([recording.time[some], recording.columns[some]]), whole))
 
 
 def read_csv(path: str | Path) -> Recording:

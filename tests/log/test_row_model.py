@@ -38,8 +38,8 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
     xi[0, 1] += 20.0  # outside the range of the cart's rate
     u = random.standard_normal((K, len(eq.inputs)))
     intensity = np.ones(found.layout.q)
-    channel = found.noise_directions * found.noise_sizes(intensity, H)
-    steps = rows.steps(xi, u, np.full(K, H), channel)
+    sizes = np.broadcast_to(found.noise_sizes(intensity, H), (K, found.noise_directions.shape[1]))
+    steps = rows.steps(xi, u, np.full(K, H), found.noise_directions, sizes, apart=True)
     nothing = joined(np.zeros((N, N)), np.zeros((N, 0)), np.zeros((N, 0)))
     y, C = rows.output(xi, u), rows.output_slopes(xi, u)
     for k in range(K):
@@ -47,7 +47,7 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
         scale = np.abs(one.xi).max()
         np.testing.assert_allclose(steps.end[k], one.xi, rtol=0, atol=1e-2 * close * scale)
         np.testing.assert_allclose(steps.Phi[k], one.Phi, rtol=0, atol=close * np.abs(one.Phi).max())
-        covariance = sum(factor @ factor.T for factor in np.swapaxes(steps.noise[k], 0, 1))
+        covariance = steps.noise[k] @ steps.noise[k].T
         expected = one.columns.factor @ one.columns.factor.T
         std = np.sqrt(np.diag(expected))
         std[std == 0.0] = 1.0

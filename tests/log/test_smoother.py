@@ -7,7 +7,8 @@ import pytest
 
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Jumps
-from ndob_fmu.log.smoother import LinearRecord, Smoothed, backward, forward
+from ndob_fmu.log.linear_record import LinearRecord, Smoothed
+from ndob_fmu.log.smoother import backward, forward
 from ndob_fmu.log.whole_record import WholeRecord
 from tests.helpers.batch_estimate import Batch
 

@@ -18,7 +18,7 @@ from ndob_fmu.log.events import Events, Explained, with_events
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
 from ndob_fmu.log.fit.problem import Linearised, Problem
-from ndob_fmu.log.smoother import Smoothed
+from ndob_fmu.log.linear_record import Smoothed
 from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 

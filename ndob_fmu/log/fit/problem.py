@@ -9,9 +9,9 @@ import numpy as np
 from ndob_fmu.log.along import Samples, Start, record_along
 from ndob_fmu.log.events import Jumps
 from ndob_fmu.log.fit.noise_fit import EventSearch
+from ndob_fmu.log.linear_record import LinearRecord
 from ndob_fmu.log.pieces import CutRecord, parts_of, side_by_side
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smoother import LinearRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -64,7 +64,8 @@ class Problem:
             parameters[index] = value
         rows = RowModel(replace(self.rows.model, parameters=tuple(parameters)), self.rows.functions)
         K, start = len(trajectory), Start(trajectory[0], np.diag(self.wide))
-        record, columns = record_along(rows, self.samples.first(K), trajectory, lambda H: self.intensity, start)
+        samples = self.samples.first(K)
+        record, columns = record_along(rows, samples, trajectory, lambda H: self.intensity, start, apart=True)
         return Linearised(self, trajectory, record, columns)
 
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, closed_loops
+from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smoother import closed_loops
 from ndob_fmu.runtime.arrays import Array
 
 

@@ -21,10 +21,10 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.first_block import first_block, run_along
+from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord, Smoothed
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smooth_log import event_spacing, explained_stretch, noise_variance
 from ndob_fmu.log.smoothable import check_smoothed
-from ndob_fmu.log.smoother import Adjoint, Forward, LinearRecord, Smoothed
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.tune.settings import Settings, settings_of
@@ -202,6 +202,7 @@ class Workbench:
             trajectory,
             lambda steps: intensities(tuned, steps),
             self._start(observer, model),
+            apart=True,
         )
         more = rows.taken_for_disturbance(trajectory, log.inputs)
         return _Linear(trajectory, record, columns, self._noise_sizes(tuned), more)
