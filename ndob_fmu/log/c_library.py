@@ -66,6 +66,14 @@ class CLibrary:
         )
         return adjoint
 
+    def lagged_adjoint(self, record: LinearRecord, found: Forward, rows: int) -> tuple[Array, Array]:
+        """Return the scores (K,N) and their variances (K,N,N) at each row from its samples and those of more rows."""
+        K, _, N = record.rows.shape
+        scores = np.empty((K, N)), np.empty((K, N, N))
+        told, length = ctypes.byref(_Record(record, {})), ctypes.c_size_t(min(rows + 1, K))
+        self._call("ndob_lagged", told, _addresses(_columns(found)), length, *map(_address, [*scores]))
+        return scores
+
     def lower_factor(self, rows: Array) -> Array:
         """Return lower triangles T (…,m,m) with T Tᵀ = rows rowsᵀ, for rows (…,m,·)."""
         rows = np.ascontiguousarray(rows)

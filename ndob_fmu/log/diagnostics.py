@@ -107,12 +107,12 @@ class ResidualTally:
         usable[:left_out] = np.nan
         known = len(self._rows)
         rows = np.concatenate([self._rows, usable])
-        for lag in range(LAGS + 1):
-            later = rows[max(known, lag) :]
-            product = later * rows[max(known, lag) - lag : len(rows) - lag]
-            self._counts[lag] += np.isfinite(product).sum(axis=0)
-            self._products[lag] += np.nansum(product, axis=0)
         self._rows = rows[-LAGS:]
+        there = np.isfinite(rows)
+        for sums, one in ((self._counts, there.astype(float)), (self._products, np.where(there, rows, 0.0))):
+            for lag in range(LAGS + 1):
+                first = max(known, lag)
+                sums[lag] += np.einsum("kp,kp->p", one[first:], one[first - lag : len(one) - lag])
 
     def diagnoses(self) -> Sequence[OutputDiagnosis]:
         """Return the diagnosis of each output."""

@@ -131,9 +131,10 @@ class AlongRecord:
 
         x (E,N,c): the columns behind the first step forwards, G of the event's own row backwards
         """
-        parts, reach = [], np.zeros(len(k), dtype=int)
+        parts, reach = [list[tuple[Array, Array]]() for _ in k], np.zeros(len(k), dtype=int)
+        left = np.arange(len(k))  # those that still have an effect
         for done in range(0, min(len(self._record.rows), _MOST_ROWS), _ROWS):
-            rows = k[:, None] + way * np.arange(done + 1, done + _ROWS + 1)
+            rows = k[left, None] + way * np.arange(done + 1, done + _ROWS + 1)
             at, there = self._at(np.clip(rows, 0, len(self._record.rows) - 1)), (rows >= 0)[..., None, None]
             states = np.empty((*rows.shape, *x.shape[1:]))
             Psi = at.Psi if way > 0 else np.swapaxes(at.Psi * there, 2, 3)
@@ -145,14 +146,17 @@ class AlongRecord:
                 G, g = variance @ states, np.swapaxes(at.earlier, 2, 3) @ states
             else:
                 G, g = Psi @ states, np.swapaxes(at.later * there, 2, 3) @ states
-            parts.append((G, g))
-            counts = _counts(G, variance, score, weight)
+            for e, part in zip(left.tolist(), zip(G, g, strict=True), strict=True):
+                parts[e].append(part)
+            counts = _counts(G, variance, score[left], weight[left])
             last = np.where(counts.any(axis=1), _ROWS - np.argmax(counts[:, ::-1], axis=1), 0)
-            reach = np.where(last > 0, done + last, reach)
-            if not (last > _ROWS // 2).any():
+            reach[left] = np.where(last > 0, done + last, reach[left])
+            goes_on = last > _ROWS // 2
+            left, x = left[goes_on], x[goes_on]
+            if not len(left):
                 break
-        G, g = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
-        return [(G[e, :stop], g[e, :stop]) for e, stop in enumerate(reach.tolist())]
+        each = [[np.concatenate(one) for one in zip(*some, strict=True)] for some in parts]
+        return [(G[:stop], g[:stop]) for (G, g), stop in zip(each, reach.tolist(), strict=True)]
 
     def _at(self, rows: NDArray[np.intp]) -> _Loop:
         record, found, last = self._record, self._found, len(self._record.rows) - 1

@@ -94,6 +94,14 @@ class Smoothed:
         S, score = self.forward.factor, self.adjoint.of_state[..., None]
         return np.asarray(self.forward.xi + (S @ (np.swapaxes(S, -1, -2) @ score))[..., 0])
 
+    def some(self, places: slice) -> tuple[Array, Array]:
+        """Return some of ξ (K,…,·), and their variances, in less time than all."""
+        S, score = self.forward.factor, self.adjoint.of_state
+        rows = S[..., places, :]
+        P = rows @ np.swapaxes(S, -1, -2)
+        left = (rows**2).sum(axis=-1) - (P @ self.adjoint.of_state_variance * P).sum(axis=-1)
+        return self.forward.xi[..., places] + (P * score[..., None, :]).sum(axis=-1), np.maximum(left, 0.0)
+
     @cached_property
     def covariance(self) -> Array:
         """Of ξ (K,…,N,N)."""

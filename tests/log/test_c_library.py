@@ -20,6 +20,7 @@ from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.row_transition import row_transition
 from ndob_fmu.log.smoother import backward, forward, lower_factor
 from ndob_fmu.log.told_values import told_values
+from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.results.csv_files import csv_lines
@@ -196,3 +197,11 @@ def test_a_log_is_estimated_alike_with_a_compiler_and_without_one(tmp_path, monk
 
 def test_few_rows_ask_for_no_compiler():
     assert c_library(100) is None
+
+
+@pytest.mark.parametrize("rows", [1, 7, 300, 2 * ROWS])
+def test_what_later_rows_up_to_a_lag_say_is_the_same(rows, in_numpy):
+    record = stable_record(5, 2, seed=12)
+    run = forward(record)
+    found, expected = (call(lagged_adjoint, record, run, rows) for call in (found_in_c, in_numpy))
+    assert_close(vars(found), vars(expected))

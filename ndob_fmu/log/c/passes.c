@@ -96,9 +96,9 @@ SHARED int ndob_forward(const Record *r, const Filtered *to)
     return good;
 }
 
-/* The closed loop at a row, with scratch; the letters of `closed_loop`. behind (p,N): Φ K; later (p,N): l; W, told (p,p): W and W/α */
+/* The closed loop at a row, with the letters of `closed_loop`. behind (p,N): Φ K; later (p,N): l; W (p,p) */
 typedef struct {
-    double *Psi, *H, *W, *behind, *later, *product, *score, *variance;
+    double *Psi, *H, *W, *behind, *later;
 } Loop;
 
 /* Of N states and p outputs with rows c (p,N), gains K (p,N), behind which stands Φ, none behind the last row. */
@@ -127,14 +127,15 @@ static void close_loop(const Loop *to, size_t N, size_t p, const double *Phi, co
         for (size_t i = 0; i < p; i++) add(N, to->Psi + row * N, -to->behind[i * N + row], to->H + i * N);
 }
 
-/* u and D of the samples at a row. */
-static void sample_scores(const Loop *loop, size_t N, size_t p, const double *e, const double *alpha, double *u, double *D)
+/* u and D of the samples at a row, by λ and Λ behind its step. */
+static void sample_scores(const Loop *loop, size_t N, size_t p, const double *score, const double *variance, const double *e,
+                          const double *alpha, double *u, double *D)
 {
     for (size_t j = 0; j < p; j++) {
         const double *later = loop->later + j * N;
-        u[j] = dot(N, later, loop->score);
+        u[j] = dot(N, later, score);
         D[j] = 0.0;
-        for (size_t row = 0; row < N; row++) D[j] += later[row] * dot(N, loop->variance + row * N, later);
+        for (size_t row = 0; row < N; row++) D[j] += later[row] * dot(N, variance + row * N, later);
         for (size_t i = j; i < p; i++) {
             double W = loop->W[i * p + j];
             u[j] += W * e[i] / alpha[i];
@@ -143,58 +144,180 @@ static void sample_scores(const Loop *loop, size_t N, size_t p, const double *e,
     }
 }
 
-/* λ and Λ before the samples of a row, by those behind its step. */
-static void before_samples(const Loop *loop, size_t N, size_t p, const double *e, const double *alpha)
+/* Add Aᵀ V A to the upper triangle of a matrix, for a symmetric V (N,N). work: scratch (2N,N) */
+static void add_congruent(size_t N, const double *A, const double *V, double *work, double *to)
 {
-    double *Psi = loop->Psi, *product = loop->product, *turned = product + N * N, *score = turned + N * N;
+    double *product = work, *turned = work + N * N;
     memset(product, 0, N * N * sizeof(double));
-    memset(score, 0, N * sizeof(double));
     for (size_t l = 0; l < N; l++)
         for (size_t i = 0; i < N; i++)
-            if (Psi[l * N + i] != 0.0) add(N, product + i * N, Psi[l * N + i], loop->variance + l * N);
-    for (size_t l = 0; l < N; l++) {
-        add(N, score, loop->score[l], Psi + l * N);
+            if (A[l * N + i] != 0.0) add(N, product + i * N, A[l * N + i], V + l * N);
+    for (size_t l = 0; l < N; l++)
         for (size_t i = 0; i < N; i++) turned[l * N + i] = product[i * N + l];
-    }
-    memset(loop->variance, 0, N * N * sizeof(double));
     for (size_t l = 0; l < N; l++)
         for (size_t i = 0; i < N; i++)
-            if (Psi[l * N + i] != 0.0) add(N - i, loop->variance + i * N + i, Psi[l * N + i], turned + l * N + i);
+            if (A[l * N + i] != 0.0) add(N - i, to + i * N + i, A[l * N + i], turned + l * N + i);
+}
+
+/* Make a matrix symmetric by its upper triangle. */
+static void mirror(size_t N, double *matrix)
+{
+    for (size_t i = 0; i < N; i++)
+        for (size_t l = 0; l < i; l++) matrix[i * N + l] = matrix[l * N + i];
+}
+
+/* y += Aᵀ x */
+static void add_turned(size_t N, double *y, const double *A, const double *x)
+{
+    for (size_t l = 0; l < N; l++) add(N, y, x[l], A + l * N);
+}
+
+/* λ and Λ before the samples of a row are those that its own samples have, and Ψᵀ λ and Ψᵀ Λ Ψ of those behind its step. */
+static void own_scores(const Loop *loop, size_t N, size_t p, const double *e, const double *alpha, double *score, double *variance)
+{
+    memset(score, 0, N * sizeof(double));
+    memset(variance, 0, N * N * sizeof(double));
     for (size_t sample = 0; sample < p; sample++) {
         const double *H = loop->H + sample * N;
         add(N, score, e[sample] / alpha[sample], H);
         for (size_t i = 0; i < N; i++)
-            if (H[i] != 0.0) add(N - i, loop->variance + i * N + i, H[i] / alpha[sample], H + i);
+            if (H[i] != 0.0) add(N - i, variance + i * N + i, H[i] / alpha[sample], H + i);
     }
-    for (size_t i = 0; i < N; i++)
-        for (size_t l = 0; l < i; l++) loop->variance[i * N + l] = loop->variance[l * N + i];
-    memcpy(loop->score, score, N * sizeof(double));
+    mirror(N, variance);
+}
+
+/* The memory of a loop of N states and p outputs, which begins with its Ψ; NULL where there is none. */
+static double *new_loop(Loop *made, size_t N, size_t p)
+{
+    double *memory = malloc((N * N + 3 * p * N + p * p) * sizeof(double));
+    if (!memory) return NULL;
+    made->Psi = memory;
+    made->H = memory + N * N;
+    made->behind = made->H + p * N;
+    made->later = made->behind + p * N;
+    made->W = made->later + p * N;
+    return memory;
+}
+
+/* The closed loop of a row, and the scores of its own samples. */
+static void loop_at(const Loop *loop, const Record *r, const Filtered *found, size_t k, size_t s, double *score, double *variance)
+{
+    size_t N = r->N, p = r->p, at = k * r->S + s, sample = at * p;
+    const double *Phi = k + 1 < r->K ? r->Phi + at * N * N : NULL;
+    close_loop(loop, N, p, Phi, r->rows + sample * N, found->gain + sample * N);
+    own_scores(loop, N, p, found->innovation + sample, found->alpha + sample, score, variance);
 }
 
 SHARED int ndob_backward(const Record *r, const Filtered *found, const Scores *to)
 {
     size_t N = r->N, p = r->p;
-    double *work = malloc((4 * N * N + 2 * N + 3 * p * N + p * p) * sizeof(double));
-    if (!work) return 0;
-    Loop loop = {.Psi = work, .product = work + N * N, .variance = work + 3 * N * N + N};
-    loop.score = loop.variance + N * N;
-    loop.H = loop.score + N;
-    loop.behind = loop.H + p * N;
-    loop.later = loop.behind + p * N;
-    loop.W = loop.later + p * N;
-    for (size_t s = 0; s < r->S; s++) {
-        memset(loop.variance, 0, (N * N + N) * sizeof(double));
+    Loop loop;
+    double *memory = new_loop(&loop, N, p), *work = calloc(3 * N * N + N, sizeof(double));
+    double *nothing = work ? work + 2 * N * N : NULL;
+    int good = memory && work;
+    for (size_t s = 0; good && s < r->S; s++) {
+        const double *score = nothing, *variance = nothing; /* behind the step */
         for (size_t k = r->K; k-- > 0;) {
             size_t at = k * r->S + s, sample = at * p;
-            const double *e = found->innovation + sample, *alpha = found->alpha + sample;
-            const double *Phi = k + 1 < r->K ? r->Phi + at * N * N : NULL;
-            close_loop(&loop, N, p, Phi, r->rows + sample * N, found->gain + sample * N);
-            sample_scores(&loop, N, p, e, alpha, to->of_sample + sample, to->of_sample_variance + sample);
-            before_samples(&loop, N, p, e, alpha);
-            memcpy(to->of_state + at * N, loop.score, N * sizeof(double));
-            memcpy(to->of_state_variance + at * N * N, loop.variance, N * N * sizeof(double));
+            double *own = to->of_state + at * N, *own_variance = to->of_state_variance + at * N * N;
+            loop_at(&loop, r, found, k, s, own, own_variance);
+            sample_scores(&loop, N, p, score, variance, found->innovation + sample, found->alpha + sample, to->of_sample + sample,
+                          to->of_sample_variance + sample);
+            add_turned(N, own, loop.Psi, score);
+            add_congruent(N, loop.Psi, variance, work, own_variance);
+            mirror(N, own_variance);
+            score = own;
+            variance = own_variance;
         }
     }
+    free(memory);
     free(work);
-    return 1;
+    return good;
+}
+
+/* What a row's scores are made of, for a block of rows (L,…) and for the rows from its first one on. */
+typedef struct {
+    double *Psi, *score, *variance, *first, *first_variance, *next, *next_variance;
+} Block;
+
+/* The scores of the first row from its own samples and those of r − 1 more rows, r = 0 … L; behind `count` rows there is
+   nothing more. */
+static void from_first(const Block *block, size_t N, size_t L, size_t count, double *work)
+{
+    double *A = work + 2 * N * N, *product = A + N * N;
+    memset(A, 0, N * N * sizeof(double));
+    for (size_t i = 0; i < N; i++) A[i * N + i] = 1.0;
+    memset(block->first, 0, N * sizeof(double));
+    memset(block->first_variance, 0, N * N * sizeof(double));
+    for (size_t r = 0; r + 1 < L; r++) {
+        double *score = block->first + (r + 1) * N, *variance = block->first_variance + (r + 1) * N * N;
+        memcpy(score, score - N, N * sizeof(double));
+        memcpy(variance, variance - N * N, N * N * sizeof(double));
+        if (r >= count) continue;
+        add_turned(N, score, A, block->score + r * N);
+        add_congruent(N, A, block->variance + r * N * N, work, variance);
+        mirror(N, variance);
+        multiply(N, block->Psi + r * N * N, A, product);
+        memcpy(A, product, N * N * sizeof(double));
+    }
+}
+
+/* The scores of each of `count` rows from the rest of its block and the beginning of the next one, where there is one. */
+static void to_lag(const Block *block, size_t N, size_t count, int has_next, double *work, double *of_state, double *of_variance)
+{
+    double *A = work + 2 * N * N, *product = A + N * N;
+    memset(A, 0, N * N * sizeof(double));
+    for (size_t i = 0; i < N; i++) A[i * N + i] = 1.0;
+    for (size_t r = count; r-- > 0;) {
+        const double *Psi = block->Psi + r * N * N;
+        double *score = block->score + r * N, *variance = block->variance + r * N * N; /* become those of the rest */
+        if (r + 1 < count) {
+            add_turned(N, score, Psi, score + N);
+            add_congruent(N, Psi, variance + N * N, work, variance);
+            mirror(N, variance);
+        }
+        memcpy(of_state + r * N, score, N * sizeof(double));
+        memcpy(of_variance + r * N * N, variance, N * N * sizeof(double));
+        if (!has_next) continue;
+        multiply(N, A, Psi, product);
+        memcpy(A, product, N * N * sizeof(double));
+        add_turned(N, of_state + r * N, A, block->next + r * N);
+        add_congruent(N, A, block->next_variance + r * N * N, work, of_variance + r * N * N);
+        mirror(N, of_variance + r * N * N);
+    }
+}
+
+/* `lagged_adjoint`: scores (K,N) and variances (K,N,N) at each row of one record from its own samples and those of L − 1
+   more rows. */
+SHARED int ndob_lagged(const Record *r, const Filtered *found, size_t L, double *of_state, double *of_variance)
+{
+    size_t N = r->N, each = N * N + N;
+    Loop loop;
+    double *memory = new_loop(&loop, N, r->p), *work = malloc((4 * N * N + L * (N * N + 3 * each)) * sizeof(double));
+    int good = memory && work;
+    if (good) {
+        Block block = {.Psi = work + 4 * N * N};
+        block.score = block.Psi + L * N * N;
+        block.variance = block.score + L * N;
+        block.first = block.variance + L * N * N;
+        block.first_variance = block.first + L * N;
+        block.next = block.first_variance + L * N * N;
+        block.next_variance = block.next + L * N;
+        for (size_t first = (r->K - 1) / L * L, has_next = 0;; first -= L, has_next = 1) {
+            size_t count = r->K - first < L ? r->K - first : L;
+            for (size_t i = 0; i < count; i++) {
+                loop_at(&loop, r, found, first + i, 0, block.score + i * N, block.variance + i * N * N);
+                memcpy(block.Psi + i * N * N, loop.Psi, N * N * sizeof(double));
+            }
+            from_first(&block, N, L, count, work);
+            to_lag(&block, N, count, (int)has_next, work, of_state + first * N, of_variance + first * N * N);
+            double *score = block.next, *variance = block.next_variance;
+            block.next = block.first, block.next_variance = block.first_variance;
+            block.first = score, block.first_variance = variance;
+            if (!first) break;
+        }
+    }
+    free(memory);
+    free(work);
+    return good;
 }

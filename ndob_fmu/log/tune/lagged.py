@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ndob_fmu.log.c_library import c_library
 from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
 from ndob_fmu.log.smoother import closed_loops
 from ndob_fmu.runtime.arrays import Array
@@ -22,6 +23,9 @@ def lagged_adjoint(record: LinearRecord, found: Forward, rows: int) -> Adjoint:
 
     It has no scores of single samples.
     """
+    none, in_c = np.zeros(found.alpha.shape), c_library(len(record.rows))
+    if in_c is not None:
+        return Adjoint(*in_c.lagged_adjoint(record, found, rows), none, none)
     Psi, b, C = _in_blocks(record, found, min(rows + 1, len(record.rows)))
     starts_b, starts_C = np.zeros_like(b), np.zeros_like(C)  # of the first rows of a block
     A = np.broadcast_to(np.eye(Psi.shape[-1]), Psi[0].shape)
@@ -38,7 +42,7 @@ def lagged_adjoint(record: LinearRecord, found: Forward, rows: int) -> Adjoint:
         b[r], C[r] = rest_b, rest_C
         b[r, :-1] += (At @ starts_b[r, 1:, :, None])[..., 0]
         C[r, :-1] += At @ starts_C[r, 1:] @ A[:-1]
-    K, none = len(record.rows), np.zeros(found.alpha.shape)
+    K = len(record.rows)
     of_state, variance = (np.swapaxes(one, 0, 1).reshape(-1, *one.shape[2:])[:K] for one in (b, C))
     return Adjoint(of_state, variance, none, none)
 

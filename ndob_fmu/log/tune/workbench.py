@@ -274,5 +274,5 @@ def _filtered(model: FilterModel, linear: _Linear, run: Forward) -> Band:
 def _with(model: FilterModel, linear: _Linear, run: Forward, adjoint: Adjoint) -> Band:
     """Return the estimate with the later samples that an adjoint knows."""
     d = model.layout.disturbance
-    found = Smoothed(run, adjoint)
-    return Band(*as_published(model, linear.trajectory[:, d] + found.xi[:, d], found.std[:, d] ** 2 + linear.more))
+    xi, variance = Smoothed(run, adjoint).some(d)
+    return Band(*as_published(model, linear.trajectory[:, d] + xi, variance + linear.more))
