@@ -13,7 +13,7 @@ from dataclasses import fields
 from functools import cache
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,20 @@ class CLibrary:
         self._call("ndob_lagged", told, _addresses(_columns(found)), length, *map(_address, [*scores]))
         return scores
 
+    def effects(
+        self, record: LinearRecord, found: Forward, variances: Array, goes_on: Array, told: FollowedEvents, way: int
+    ) -> list[tuple[Array, Array]]:
+        """Return G and g of events from the rows beside theirs on, forwards or backwards, until they have no effect."""
+        (E, N, c), p = told.x.shape, record.rows.shape[1]
+        of_state, of_sample = np.empty((E, told.most, N, c)), np.empty((E, told.most, p, c))
+        reach = np.zeros(E, dtype=np.uintp)
+        arrays = [told.at.astype(np.uintp)]
+        arrays += [np.ascontiguousarray(one) for one in (told.x, told.score, told.weight, variances, goes_on)]
+        events = _Events(E, c, told.most, told.rows, told.forgotten, *(array.ctypes.data for array in arrays))
+        passed = ctypes.byref(_Record(record, {})), _addresses(_columns(found)), ctypes.byref(events)
+        self._call("ndob_effects", *passed, ctypes.c_int(way), _addresses([of_state, of_sample, reach]))
+        return [(G[:stop], g[:stop]) for G, g, stop in zip(of_state, of_sample, reach.tolist(), strict=True)]
+
     def lower_factor(self, rows: Array) -> Array:
         """Return lower triangles T (…,m,m) with T Tᵀ = rows rowsᵀ, for rows (…,m,·)."""
         rows = np.ascontiguousarray(rows)
@@ -117,6 +131,28 @@ class CLibrary:
             raise MemoryError
 
 
+class FollowedEvents(NamedTuple):
+    """Events that are followed along a record, as `Events` in effects.c."""
+
+    at: NDArray[np.intp]
+    x: Array
+    score: Array
+    weight: Array
+    most: int
+    rows: int
+    forgotten: float
+
+
+class _Events(ctypes.Structure):
+    """As `Events` in effects.c."""
+
+    _fields_ = (
+        *((name, ctypes.c_size_t) for name in ("E", "c", "most", "rows")),
+        ("forgotten", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("at", "x", "score", "weight", "variances", "goes_on")),
+    )
+
+
 class _Steps(ctypes.Structure):
     """As `Steps` in transition.c."""
 
@@ -152,7 +188,7 @@ class _Record(ctypes.Structure):
         super().__init__(*sizes, *addresses[:places], len(at), *addresses[places:])
 
 
-def _addresses(arrays: Sequence[Array]) -> ctypes.Array[ctypes.c_void_p]:
+def _addresses(arrays: Sequence[NDArray[Any]]) -> ctypes.Array[ctypes.c_void_p]:
     """Return a structure of pointers to arrays, in their order."""
     return (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
 
@@ -170,7 +206,7 @@ def _library() -> CLibrary | None:
     target = this_platform()
     if not has_compiler(target):
         return None
-    texts = [_c_text(name) for name in ("factor", "passes", "transition", "judge")]
+    texts = [_c_text(name) for name in ("factor", "passes", "transition", "judge", "effects")]
     text = "\n".join([*texts, _powers_of_ten(), _c_text("text")])
     try:
         found = binary(_NAME, {f"{_NAME}.c": text}, target, level="-O3")

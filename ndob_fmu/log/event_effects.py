@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu.log.c_library import FollowedEvents, c_library
 from ndob_fmu.log.closed_loop import closed_loop
 from ndob_fmu.log.events import Explained
 from ndob_fmu.runtime.arrays import Array
@@ -131,17 +132,23 @@ class AlongRecord:
 
         x (E,N,c): the columns behind the first step forwards, G of the event's own row backwards
         """
+        most, K = min(len(self._record.rows), _MOST_ROWS), len(self._record.rows)
+        in_c = c_library(K)
+        if in_c is not None:
+            told = FollowedEvents(k, x, score, weight, most, _ROWS, _FORGOTTEN)
+            variances = self._adjoint.of_state_variance
+            return in_c.effects(self._record, self._found, variances, self._goes_on, told, way)
         parts, reach = [list[tuple[Array, Array]]() for _ in k], np.zeros(len(k), dtype=int)
         left = np.arange(len(k))  # those that still have an effect
-        for done in range(0, min(len(self._record.rows), _MOST_ROWS), _ROWS):
+        for done in range(0, most, _ROWS):
             rows = k[left, None] + way * np.arange(done + 1, done + _ROWS + 1)
-            at, there = self._at(np.clip(rows, 0, len(self._record.rows) - 1)), (rows >= 0)[..., None, None]
+            at, there = self._at(np.clip(rows, 0, K - 1)), (rows >= 0)[..., None, None]
             states = np.empty((*rows.shape, *x.shape[1:]))
             Psi = at.Psi if way > 0 else np.swapaxes(at.Psi * there, 2, 3)
             for r in range(_ROWS):
                 states[:, r] = x  # columns before the row, or G behind it
                 x = Psi[:, r] @ x
-            variance = self._adjoint.of_state_variance[np.clip(rows, 0, len(self._record.rows) - 1)]
+            variance = self._adjoint.of_state_variance[np.clip(rows, 0, K - 1)]
             if way > 0:
                 G, g = variance @ states, np.swapaxes(at.earlier, 2, 3) @ states
             else:

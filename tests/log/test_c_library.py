@@ -14,8 +14,10 @@ from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log import c_library as module
 from ndob_fmu.log.c_library import c_library
 from ndob_fmu.log.estimate_log import estimate_log
+from ndob_fmu.log.event_effects import AlongRecord, Source
 from ndob_fmu.log.event_search import explained_by
-from ndob_fmu.log.pieces import parts_of, side_by_side
+from ndob_fmu.log.events import Events, Jumps, with_events
+from ndob_fmu.log.pieces import CutRecord, parts_of, side_by_side
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.row_transition import row_transition
 from ndob_fmu.log.smoother import backward, forward, lower_factor
@@ -205,3 +207,23 @@ def test_what_later_rows_up_to_a_lag_say_is_the_same(rows, in_numpy):
     run = forward(record)
     found, expected = (call(lagged_adjoint, record, run, rows) for call in (found_in_c, in_numpy))
     assert_close(vars(found), vars(expected))
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_what_events_do_to_the_scores_around_them_is_the_same(cut, in_numpy):
+    record, random = stable_record(4, 3, seed=13), np.random.default_rng(14)
+    jumps = Jumps(random.standard_normal((ROWS, 4, 1)), random.standard_normal((ROWS, 4, 3)))
+    if cut:
+        pieces = side_by_side(ROWS, 150)
+        filtered = CutRecord(record, pieces, parts_of(record, pieces, np.full(4, 2.0)))
+    else:
+        filtered = WholeRecord(record)
+    found = with_events(filtered, jumps, Events({300: True}))
+    places = [(0, False), (151, True), (600, True), (ROWS - 1, False)]
+    sources = [Source(k, jumps.of(k, in_step)) for k, in_step in places] + [Source(700, np.full((1, 1), 3.0), 1)]
+    sizes = [one.columns.shape[1] for one in sources]
+    told = sources, [np.ones(c) for c in sizes], [0.5 * np.eye(c) for c in sizes]
+    both = zip(*(call(AlongRecord(found).effects, *told) for call in (found_in_c, in_numpy)), strict=True)
+    for mine, theirs in both:
+        assert mine.first == theirs.first
+        assert_close(vars(mine), vars(theirs))
