@@ -121,6 +121,24 @@ def test_a_parameter_is_found_within_its_error_bar(fitted):
     assert abs(mass.value - 2.0) < 2.0 * mass.std < 0.2
 
 
+def test_a_parameter_that_looks_like_the_disturbance_stays_as_told_with_its_error_bar(tmp_path):
+    """A tilt is a constant force, and a wind that wanders has any mean."""
+
+    def dynamics(x, u, d, p):
+        return [x.rate, (u.force - p.drag * x.rate * x.rate**2 + p.tilt + d.wind) / p.mass]
+
+    tilted = replace(CART, name="Tilted", dynamics=dynamics, parameters={**CART.parameters, "tilt": 0.3})
+    made_log(tmp_path / "log.csv", "walk", 12, rows=1500)
+    told = {"tilt_std": 0.2}
+    found = fit_log(tilted, tmp_path / "log.csv", tmp_path / "out", free=["tilt"], start_values=told)
+    assert found.parameters == {}
+    assert found.start_values["tilt_std"] == 0.2
+    assert any(
+        line.startswith("tilt: the log cannot tell it from wind; it stays as told, and tilt_std tells the error bars")
+        for line in found.warnings
+    )
+
+
 def test_the_observer_tunes_itself_to_the_pace_that_was_found(fitted):
     kind, folder, found = fitted
     values = told_values(EQUATIONS, json.loads((folder / "fit.json").read_text()))

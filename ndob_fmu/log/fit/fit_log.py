@@ -215,7 +215,8 @@ def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str
             fit = fit_class(problem, known.trajectory, least_disturbance, start=known, climbs=False)
             told = _told(fit)
         warnings += [
-            f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told"
+            f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told, and "
+            f"{name}_std tells the error bars how far off it may be"
             for name, one in zip(setup.free, told, strict=True)
             if not one
         ]
