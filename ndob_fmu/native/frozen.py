@@ -32,9 +32,9 @@ def frozen_step_text(gain: Sequence[str], counts: Mapping[str, int], inputs: int
     before = _before_end(outputs)
     return (
         "/* Whether a state, which ends at `end`, has a gain that is frozen for a step, a tuning and a noise. */\n"
-        "static bool is_frozen_for(const double *end, double H, double tuned_at, nd noise) {\n"
+        "static bool is_frozen_for(const double *end, double step, double tuned_at, nd noise) {\n"
         f"    const double *told = end - {before['frozen_noise']};\n"
-        f"    if (end[-{before['converged']}] == 0.0 || end[-{before['step']}] != H"
+        f"    if (end[-{before['converged']}] == 0.0 || end[-{before['step']}] != step"
         f" || end[-{before['tuned_at']}] != tuned_at) return false;\n"
         f"    for (int i = 0; i < {outputs}; i++)\n"
         "        if (told[i] != noise->p[i]) return false;\n"

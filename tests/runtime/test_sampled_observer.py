@@ -10,6 +10,7 @@ from ndob_fmu.errors import DesignError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
 from ndob_fmu.runtime.blocks.plant import Plant
+from ndob_fmu.runtime.step import sampled_step
 from tests.helpers.observers import sampled_observer
 from tests.helpers.problems import MODELS, RANDOM, to_model
 
@@ -102,11 +103,11 @@ def test_residuals_are_larger_than_expected_where_the_noise_is_larger_than_told(
 @pytest.mark.parametrize("H", STEPS)
 @pytest.mark.parametrize("order", [0, 1, 2, 3])
 def test_a_constant_disturbance_is_found_within_ten_samples_without_a_schedule_and_then_exactly(H, order):
-    run = Run(observer_of(order=order), constant(), H, 1.5)
+    run = Run(observer_of(order=order), constant(), H, 2.5)
     outside = np.flatnonzero(np.abs(run.at_sample) > 0.02 * 2.0)
     assert outside[-1] + 2 <= 10
     assert np.abs(run.d_hat).max() <= 3.0 * 5.0
-    late = run.time > 1.0
+    late = run.time > 2.0
     assert np.abs(run.at_sample[late]).max() <= 1e-7
     assert np.abs(run.ahead[late]).max() <= 1e-7
     assert run.valid.all()
@@ -115,8 +116,8 @@ def test_a_constant_disturbance_is_found_within_ten_samples_without_a_schedule_a
 @pytest.mark.parametrize("H", STEPS)
 @pytest.mark.parametrize("order", [2, 3])
 def test_a_ramp_is_followed_exactly(H, order):
-    run = Run(observer_of(order=order), [Generator(KINDS["ramp"], 1.0)], H, 1.5)
-    late = run.time > 1.0
+    run = Run(observer_of(order=order), [Generator(KINDS["ramp"], 1.0)], H, 2.5)
+    late = run.time > 2.0
     assert np.abs(run.at_sample[late]).max() <= 1e-7
     assert np.abs(run.ahead[late]).max() <= 1e-7
 
@@ -236,6 +237,60 @@ def test_the_gain_is_frozen_for_the_noise_that_was_found_where_another_was_told(
     assert all(0.5 < told * ratio < 4.0 for ratio in memory.frozen_noise)
     late = run.time > 4.0
     assert np.mean(np.abs(run.ahead[late]) < 2.0 * run.std[late]) > 0.9
+
+
+@pytest.mark.parametrize("told", [0.4, 2.5])
+def test_the_gain_is_not_frozen_before_the_samples_have_shown_the_noise(told):
+    """Right after the start nothing speaks against the noise that was told."""
+    run = Run(observer_of(order=1, noise_std=told * 1e-4, bound=[2.0]), constant(), 2e-3, 2.0, sigma=1e-4, seed=2)
+    assert run.state.memory.converged
+    assert all(0.5 < told**2 * ratio < 2.0 for ratio in run.state.memory.frozen_noise)
+
+
+def jittered(seed, part, count, H=2e-3):
+    """Return steps between samples whose times jitter by a part of H."""
+    times = H * (np.arange(count + 1) + part * np.random.default_rng(seed).normal(size=count + 1))
+    return np.maximum(np.diff(times), 0.1 * H)
+
+
+def test_the_gain_stays_frozen_where_the_times_of_samples_jitter(monkeypatch):
+    """It costs less than 1 % of the estimate, because a gain for a step off by a few per cent is nearly the best."""
+    steps = jittered(5, 0.05, 3000)
+
+    def run_of():
+        return Run(observer_of(order=1, noise_std=1e-4), sine(1.0), None, None, sigma=1e-4, seed=4, steps=steps)
+
+    calls, whole = [], sampled_step.step_with_covariance
+
+    def counted(*arguments):
+        calls.append(1)
+        return whole(*arguments)
+
+    monkeypatch.setattr(sampled_step, "step_with_covariance", counted)
+    frozen = run_of()
+    assert len(calls) < 0.1 * len(steps)
+    monkeypatch.setattr(sampled_step, "frozen", lambda tuned, design_at, after, *_: after)
+    running = run_of()
+    assert len(calls) > len(steps)
+    late = running.time > 1.0
+    error, least = (float(np.sqrt(np.mean(run.at_sample[late] ** 2))) for run in (frozen, running))
+    assert error <= 1.01 * least
+    assert np.mean(np.abs(frozen.ahead[late]) < 2.0 * frozen.std[late]) > 0.9
+
+
+def test_steps_that_differ_by_rounding_keep_the_gain_frozen():
+    times = 0.1 + 1e-3 * np.arange(400)
+    assert len(set(np.diff(times))) > 2
+    run = Run(observer_of(noise_std=1e-4), constant(), None, None, sigma=1e-4, steps=np.diff(times))
+    assert run.state.memory.converged
+
+
+def test_a_gain_is_frozen_again_soon_after_a_lost_sample():
+    def gap(k, y):
+        return np.array([np.nan, np.nan]) if k == 500 else y
+
+    run = Run(observer_of(order=1, noise_std=1e-4), constant(), 2e-3, 1.02, sigma=1e-4, seed=1, spoil=gap)
+    assert run.state.memory.converged
 
 
 def test_the_gain_of_sensors_with_different_rates_is_not_frozen():
@@ -414,7 +469,8 @@ def test_what_is_only_suspected_of_a_jump_does_not_carry_the_estimate_beyond_its
         )
     )
     told = {"order": 1, "noise_std": (0.02,), "disturbance_bound": (2.0,), "disturbance_rate": (1.0,)}
-    observer = sampled_observer(integrator, (), x_hat=(0.0,), **told)
+    # With a lag the covariance runs all the time, and with it the hypotheses of a jump.
+    observer = sampled_observer(integrator, (), x_hat=(0.0,), lag=0.05, **told)
     random, state, x, d, shifted = np.random.default_rng(seed), observer.init((0.0,)), 0.0, 1.8, 0
     for k in range(300):
         d = -d if k % 100 == 99 else d

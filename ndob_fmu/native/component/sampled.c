@@ -147,8 +147,8 @@ static void start_in_memory(Sampled *self, size_t mark, nd x_hat, double *state,
 static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *given, nd u, nd y, double H, double *state,
                                   double *outputs) {
     const FilterMemory *memory = &given->memory;
-    if (!memory->converged || memory->step != H) return false;
-    const m_ConvergedStep *common = converged_for(self, H, memory->tuned_at, memory->frozen_noise);
+    if (!memory->converged || !converged_step_is_near(&self->scratch, memory->step, H)) return false;
+    const m_ConvergedStep *common = converged_for(self, memory->step, memory->tuned_at, memory->frozen_noise);
     if (self->scratch.error || !common->some) return false;
     nd inputs = nd_concatenate(&self->scratch, 0, 2, (nd[]){u, y});
     m_p3_SampledObserverState_nd_nd done = sampled_step_step_converged(
@@ -163,8 +163,9 @@ static bool step_with_frozen_gain(Sampled *self, const SampledObserverState *giv
 /* The way of most steps; what it leaves out, the others do. */
 static bool step_as_kept(Sampled *self, double *state, nd u, nd y, double H, double *outputs) {
     const Kept *kept = &self->of_converged;
-    if (!kept->some || !self->converged.some || self->converged.value.M_H.some || kept->H != H) return false;
-    if (!is_frozen_for(state + self->count, H, kept->tuned_at, kept->noise)) return false;
+    if (!kept->some || !self->converged.some || self->converged.value.M_H.some) return false;
+    if (!converged_step_is_near(&self->scratch, kept->H, H)) return false;
+    if (!is_frozen_for(state + self->count, kept->H, kept->tuned_at, kept->noise)) return false;
     return frozen_step(&self->scratch, &self->converged.value, u->p, y->p, H, state, outputs);
 }
 

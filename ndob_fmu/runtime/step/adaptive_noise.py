@@ -13,10 +13,12 @@ zero. A rounding error has the variance of an equal distribution over the step. 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, isfinite, log2, remainder
+from math import ceil, isfinite, log2, remainder, sqrt
 
 _MEMORY = 200.0
-_FIRST = 10.0
+_FIRST, _SHOWN = 10.0, 50.0  # a noise that differs from what was told has shown by then
+# Innovations tell of the noise where it makes more than this part of their variance.
+_CLEAR = 6.0
 LEAST_RATIO = 1e-4
 _CREDIBLE = (0.5, 2.0)
 # Samples are rounded where so many changes were multiples of the step, to this part of it. So many equal samples in a
@@ -67,9 +69,22 @@ def in_use(ratios: Sequence[float], least: Sequence[float]) -> list[float]:
     ]
 
 
-def is_sure(counted: float) -> bool:
-    """Return whether as many samples stand behind a ratio as it remembers."""
-    return _FIRST + counted >= _MEMORY
+def weight_of(noise: float, alpha: float) -> float:
+    """Return how much an innovation of variance α tells of the noise, whose variance is a part of it."""
+    return min(1.0, (_CLEAR * noise / alpha) ** 2)
+
+
+def is_settled(ratio: float, counted: float, weight: float) -> bool:
+    """Return whether the ratio in use will stay, for one that was found.
+
+    counted: the samples behind it, each with its weight; weight: of the last one
+    """
+    least, most = _CREDIBLE
+    if not least < ratio < most:
+        return _FIRST + counted >= _MEMORY
+    # It stays as told where the one that was found is within the limits by two of its standard deviations.
+    margin = 1.0 + 2.0 * sqrt(2.0 / (_FIRST + min(counted / weight, _MEMORY)))
+    return counted >= _SHOWN * weight and least * margin < ratio < most / margin
 
 
 def for_a_frozen_gain(used: Sequence[float], least: Sequence[float]) -> tuple[float, ...]:

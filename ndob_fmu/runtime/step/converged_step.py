@@ -21,9 +21,14 @@ from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.observer import numbers
 from ndob_fmu.runtime.step.sensor_memory import MOST
 
-# The gain is frozen once no standard deviation exceeds the converged one by this part: where the plant is linear, and
-# where its slopes, and with them the covariance, keep moving.
-_LINEAR, _NONLINEAR = 1e-7, 0.02
+# The gain is frozen once no standard deviation exceeds the converged one by this part.
+_CONVERGED = 0.02
+# So many steps of about one length that use all samples come before. Where one sensor is slow, its samples seldom
+# follow one another, and the covariance rises between them.
+STEADY = 3
+# A gain serves steps that differ from its own by up to this part. The estimate loses less than 1 %, because the loss is
+# of second order.
+_JITTER = 0.2
 # Moving averages of the squared innovations, over their variance, with which a gain is and stays frozen.
 _LEAST_SQUARES, _MOST_SQUARES = 0.05, 2.0
 
@@ -132,11 +137,21 @@ def is_quiet(measured: Measured, least: Vector) -> bool:
     return quiet and squares_are_usual(measured.squares, least)
 
 
-def has_converged(model: FilterModel, memory: FilterMemory, design: StepDesign) -> bool:
+def is_near(step: float, H: float) -> bool:
+    """Return whether a gain for a step (s) serves one of H (s), as where the times of samples jitter."""
+    return abs(H - step) <= _JITTER * step
+
+
+def steady_after(memory: FilterMemory, measured: Measured, H: float) -> int:
+    """Return how many steps in a row had about one length and used all samples, after one more of H (s)."""
+    alike = is_near(memory.step, H) or is_near(memory.tuned_at, H)
+    return min(memory.steady + 1, STEADY) if alike and all(measured.used) else 0
+
+
+def has_converged(memory: FilterMemory, design: StepDesign) -> bool:
     """Return whether the gain of a design may replace that of the covariance, after a quiet step."""
-    tolerance = _NONLINEAR if model.equations.f_states else _LINEAR
     now = squared_norms(design.judged @ memory.columns.factor)
-    return bool((now <= design.judged_variances * (1.0 + tolerance) ** 2).all())
+    return bool((now <= design.judged_variances * (1.0 + _CONVERGED) ** 2).all())
 
 
 def frozen_memory(
@@ -144,7 +159,7 @@ def frozen_memory(
 ) -> FilterMemory:
     """Return the memory that stays the same while the gain is frozen for noise (p,)."""
     stationary = design.stationary
-    memory = replace(memory, converged=True, frozen_noise=noise)
+    memory = replace(memory, converged=True, frozen_noise=noise, step=design.H)
     if stationary.system.order == 0:
         return replace(memory, columns=memory.columns.with_factor(stationary.prior_factor))
     spacing = max(1, round(model.jump_spacing / design.H))

@@ -105,8 +105,8 @@ class FilterMemory:
     lost: whether the estimate was given up and has not converged again.
     converged: whether the gain is frozen; frozen_noise (p,): for which factors on the variances of the samples.
     tuned_at: the step that the intensities are tuned for (s); 0 before the first step.
-    step, steady: the last step (s), and how many steps in a row had its length and used all samples, counted until the
-        start is over.
+    step, steady: the last step, or the one that the frozen gain is for (s), and how many steps in a row had about its
+        length and used all samples, counted until the start is over.
     """
 
     columns: ErrorColumns

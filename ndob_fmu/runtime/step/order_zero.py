@@ -15,6 +15,7 @@ from ndob_fmu.runtime.design.stationary_design import scaled_noise
 from ndob_fmu.runtime.design.step_designs import StepDesign
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.numerics.kalman import triangular
+from ndob_fmu.runtime.step.converged_step import steady_after
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import SampledObserverState
 from ndob_fmu.runtime.step.measurement_update import Measured
@@ -69,7 +70,7 @@ def step_of_order_zero(
             lost=lost,
             converged=False,
             step=H,
-            steady=min(memory.steady + 1, model.start_samples) if memory.step == H and all(measured.used) else 0,
+            steady=steady_after(memory, measured, H),
         ),
     )
     return (

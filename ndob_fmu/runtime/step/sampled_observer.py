@@ -16,7 +16,7 @@ import numpy as np
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.memo import LatestResult
-from ndob_fmu.runtime.step.converged_step import ConvergedStep, converged_step
+from ndob_fmu.runtime.step.converged_step import ConvergedStep, converged_step, is_near
 from ndob_fmu.runtime.step.filter_state import SampledObserverState
 from ndob_fmu.runtime.step.observer import Estimate
 from ndob_fmu.runtime.step.preparation import PreparedObserver, prepared
@@ -92,12 +92,12 @@ class SampledObserver(PreparedObserver):
         """
         # Whether this way is taken depends on the arguments alone, so that a state that is restored goes on as it did.
         memory = state.memory
-        if not memory.converged or memory.step != H:
+        if not memory.converged or not is_near(memory.step, H):
             return None
         common = self._converged.value
-        noise, tuned_at = memory.frozen_noise, memory.tuned_at
-        if common is None or common.H != H or common.tuned_at != tuned_at or common.noise != noise:
-            common = self._converged((H, tuned_at, *noise), lambda: self._prepared(H, tuned_at, noise))
+        step, noise, tuned_at = memory.step, memory.frozen_noise, memory.tuned_at
+        if common is None or step != common.H or common.tuned_at != tuned_at or common.noise != noise:
+            common = self._converged((step, tuned_at, *noise), lambda: self._prepared(step, tuned_at, noise))
             if common is None:
                 return None
         return step_converged(common, self.layout.n, state, inputs, H)

@@ -133,7 +133,7 @@ def step_by_definition(
         after, estimate, measured = _stepped(tuned, design_at, state, held, y, H)
     except (ArithmeticError, ValueError) as error:
         raise IntegrationError(f"model: its equations cannot be evaluated at the estimate ({error})") from error
-    return frozen(tuned, design_at, after, measured, H), estimate
+    return frozen(tuned, design_at, after, measured, H, memory.step), estimate
 
 
 def _stepped(

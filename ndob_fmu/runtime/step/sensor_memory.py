@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 from ndob_fmu.runtime.generated_steps import MEMORY
-from ndob_fmu.runtime.step.adaptive_noise import averaged, common_step, of_rounding
+from ndob_fmu.runtime.step.adaptive_noise import averaged, common_step, of_rounding, weight_of
 from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS
 from ndob_fmu.runtime.step.filter_state import SensorMemory
 
 # What a refused sample adds at most to an output's debt, and what a used one leaves of it.
 _MOST_DEBT = 10.0
 _DEBT_LEFT = 0.5
-# Innovations tell of the noise where it makes more than this part of their variance.
-_CLEAR = 6.0
 # They make the noise smaller than it was told only where it makes more than this part: a disturbance that is calmer
 # than its bounds makes innovations small too.
 MOST = 0.5
@@ -149,8 +147,7 @@ def _followed(sensor: SensorMemory, sample: Innovation, residual: float, roundin
     """
     if not sample.learns:
         return sensor.noise_ratio, sensor.counted
-    weight = min(1.0, (_CLEAR * sample.noise / sample.alpha) ** 2)
-    told = sample.told
+    weight, told = weight_of(sample.noise, sample.alpha), sample.told
     product = (sample.e - sensor.mean * sqrt(sample.alpha)) * residual
     counted = sensor.counted + weight
     ratio = averaged(sensor.noise_ratio, counted, product / told, sample.alpha / told, weight)

@@ -7,6 +7,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.generated_steps import Numbers
+from ndob_fmu.runtime.step.converged_step import steady_after
 from ndob_fmu.runtime.step.delayed_outputs import is_kept
 from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
@@ -101,7 +102,7 @@ def step_with_covariance(
             frozen_noise=memory.frozen_noise,
             tuned_at=memory.tuned_at,
             step=H,
-            steady=min(memory.steady + 1, model.start_samples) if memory.step == H and all(measured.used) else 0,
+            steady=steady_after(memory, measured, H),
         ),
     )
     estimate = Estimate(

@@ -16,10 +16,10 @@ from ndob_fmu.runtime.design.stationary_design import Intensities
 from ndob_fmu.runtime.design.step_designs import StepDesign, StepDesigns
 from ndob_fmu.runtime.design.tuning import Search, bandwidth_of, squared_errors
 from ndob_fmu.runtime.generated_steps import Numbers
-from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_sure
-from ndob_fmu.runtime.step.converged_step import frozen_memory, has_converged, is_quiet, least_squares
+from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_settled, weight_of
+from ndob_fmu.runtime.step.converged_step import STEADY, frozen_memory, has_converged, is_near, is_quiet, least_squares
 from ndob_fmu.runtime.step.filter_model import FilterModel
-from ndob_fmu.runtime.step.filter_state import SampledObserverState
+from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState
 from ndob_fmu.runtime.step.measurement_update import Measured
 from ndob_fmu.runtime.step.preparation import PreparedObserver
 
@@ -158,23 +158,35 @@ def frozen(
     after: SampledObserverState,
     measured: Measured,
     H: float,
+    before: float,
 ) -> SampledObserverState:
-    """Return the state with a frozen gain, where that is as good from now on.
+    """Return the state after a step H (s) with a frozen gain, where that is as good from now on.
 
+    before: the step before (s)
     design_at: design_at(H, tuned_at, noise) returns the design for a step H (s), as `StepDesigns.at`
     """
     memory, model = after.memory, tuned.model
-    started = memory.age >= model.start_samples and memory.steady >= model.start_samples
+    started = memory.age >= model.start_samples and memory.steady >= STEADY
     if not (tuned.freezes and started) or memory.lost:
         return after
-    noise = for_a_frozen_gain(model.noise_ratios(memory.sensors), model.least_noise.tolist())
-    settled = all(ratio == 1.0 or is_sure(s.counted) for ratio, s in zip(noise, memory.sensors, strict=True))
-    if not settled or measured.suspicious:
+    if measured.suspicious or (model.adapts and not _noise_is_settled(model, memory, measured)):
         return after
+    noise = for_a_frozen_gain(model.noise_ratios(memory.sensors), model.least_noise.tolist())
+    # Where steps jitter, the gain is that of the usual one.
+    step = H if before == H or not is_near(tuned.H, H) else tuned.H
     try:
-        design = design_at(H, memory.tuned_at, noise)
+        design = design_at(step, tuned.H, noise)
     except DesignError:
         return after
-    if not (is_quiet(measured, least_squares(model, noise, design)) and has_converged(model, memory, design)):
+    if not (is_quiet(measured, least_squares(model, noise, design)) and has_converged(memory, design)):
         return after
     return replace(after, memory=frozen_memory(model, memory, design, noise))
+
+
+def _noise_is_settled(model: FilterModel, memory: FilterMemory, measured: Measured) -> bool:
+    """Return whether a gain for the noise in use is one for good."""
+    used = model.noise_used(memory.sensors)
+    return all(
+        is_settled(sensor.noise_ratio, sensor.counted, weight_of(noise, std**2))
+        for sensor, noise, std in zip(memory.sensors, used, measured.prediction.std, strict=True)
+    )
