@@ -184,7 +184,7 @@ def frozen(
 
 
 def _noise_is_settled(model: FilterModel, memory: FilterMemory, measured: Measured) -> bool:
-    """Return whether a gain for the noise in use is one for good."""
+    """Return whether the noise in use will stay."""
     used = model.noise_used(memory.sensors)
     return all(
         is_settled(sensor.noise_ratio, sensor.counted, weight_of(noise, std**2))
