@@ -15,6 +15,9 @@ from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 
+# Rows that the processor keeps near itself.
+_NEAR = 1000
+
 # x (K,n), u (K,m), d (K,q2), p (K,n_p) → (K,…)
 RowFunction = Callable[[Array, Array, Array, Array], Array]
 
@@ -79,8 +82,9 @@ def _function(
         K = len(groups[0])
         found = np.empty((K, prod(shape)))
         with np.errstate(all="ignore"):
-            for column, value in enumerate(compiled()(*(values for group in groups for values in group.T))):
-                found[:, column] = value
+            for some in (slice(first, first + _NEAR) for first in range(0, K, _NEAR)):
+                for column, value in enumerate(compiled()(*(values[some] for group in groups for values in group.T))):
+                    found[some, column] = value
         return found.reshape(K, *shape)
 
     return of_rows

@@ -180,16 +180,19 @@ class Search:
 
     def _known_at(self, rows: Rows, *, jumps: bool) -> Iterator[tuple[int, Known]]:
         """Yield the jumps, or the outliers, that are known at rows, and their places there."""
-        numbers = np.arange(len(self._more))[rows] if isinstance(rows, slice) else rows
-        for (k, output), known in self.scores.known.items():
-            place = int(np.searchsorted(numbers, k))
-            if (output is None) == jumps and place < len(numbers) and numbers[place] == k:
-                yield place, known
+        known = [(k, one) for (k, output), one in self.scores.known.items() if (output is None) == jumps]
+        if isinstance(rows, slice):
+            yield from ((k - rows.start, one) for k, one in known if rows.start <= k < rows.stop)
+            return
+        places = np.searchsorted(rows, [k for k, _ in known]).tolist()
+        for place, (k, one) in zip(places, known, strict=True):
+            if place < len(rows) and rows[place] == k:
+                yield place, one
 
 
 def _not_copied(rows: NDArray[np.intp]) -> Rows:
     """Return rows as a slice where they follow one another."""
-    return slice(rows[0], rows[-1] + 1) if len(rows) and rows[-1] - rows[0] == len(rows) - 1 else rows
+    return slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) and rows[-1] - rows[0] == len(rows) - 1 else rows
 
 
 def explained_by(columns: Array, scores: Array, variances: Array) -> Array:

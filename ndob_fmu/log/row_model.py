@@ -203,19 +203,26 @@ class RowModel:
         model, layout = self.model, self.model.layout
         of_x, of_u = self._limits
         d = xi[:, layout.disturbance] if layout.order else np.zeros((len(xi), layout.q))
-        p = np.tile(np.array(model.parameters, dtype=float), (len(xi), 1))
+        p = np.broadcast_to(np.array(model.parameters, dtype=float), (len(xi), len(model.parameters)))
         told = [i for i, like in zip(layout.uncertain, model.like_disturbance, strict=True) if not like]
-        p[:, told] = xi[:, layout.parameters][:, model.like_disturbance == 0.0]
-        return np.clip(xi[:, : layout.n], *of_x), np.clip(u, *of_u), d, p
+        if told:
+            p = p.copy()
+            p[:, told] = xi[:, layout.parameters][:, model.like_disturbance == 0.0]
+        return _within(xi[:, : layout.n], of_x), _within(u, of_u), d, p
 
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
+        """The ranges of x (2,n) and u (2,m)."""
         eq, free = self.model.equations, (-np.inf, np.inf)
         of_x, of_u = (
             np.array([eq.ranges.get(name, free) for name in names], dtype=float).reshape(-1, 2).T
             for names in (eq.states, eq.inputs)
         )
         return of_x, of_u
+
+
+def _within(values: Array, limits: Array) -> Array:
+    return np.clip(values, *limits) if np.isfinite(limits).any() else values
 
 
 def calm_units(X: Array, units: Array) -> Array:
