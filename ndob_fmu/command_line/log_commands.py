@@ -14,7 +14,8 @@ from ndob_fmu.support.progress import PATIENCE, shown_after
 
 if TYPE_CHECKING:
     from ndob_fmu.log.estimate_log import Estimated
-    from ndob_fmu.log.fit.fit_log import Fitted, Told
+    from ndob_fmu.log.fit.fit_log import Fitted
+    from ndob_fmu.log.fit.fit_parameters import Told
 _FITS = (
     "the settings fit the log; a wrong parameter that acts as the disturbance does is a part of its estimate and does "
     "not show here: `ndob-fmu fit --free` tells of it"

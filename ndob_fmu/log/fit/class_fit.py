@@ -14,9 +14,11 @@ from math import inf
 
 import numpy as np
 
+from ndob_fmu.log.along import in_layout
 from ndob_fmu.log.events import Events, Explained, with_events
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
+from ndob_fmu.log.fit.parameter_step import Step
 from ndob_fmu.log.fit.problem import Linearised, Problem
 from ndob_fmu.log.linear_record import Smoothed
 from ndob_fmu.log.whole_record import WholeRecord
@@ -44,7 +46,7 @@ _CLOSE = 10
 # A normal number is as often within the median of its size as beyond it, and that is its standard deviation over this.
 _STD_OF_MEDIAN = 1.4826
 
-ParameterStep = Callable[[Problem, Array, Array, NoiseFit], tuple[Array, Array]]
+ParameterStep = Callable[[Problem, Array, Array, NoiseFit], Step]
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,10 @@ class ClassFit:
     def order(self) -> int:
         """Of the disturbance."""
         return self.problem.layout.order
+
+    def in_layout_of(self, problem: Problem) -> Array:
+        """Return the trajectory in the layout of a problem."""
+        return in_layout(self.trajectory, self.problem.layout, problem.layout)
 
     @cached_property
     def held_out(self) -> HeldOut:
@@ -190,8 +196,9 @@ def fit_class(
         at_best = theta
         step, covariance = np.zeros(0), np.zeros((0, 0))
         if len(prior):
-            wanted, covariance = step_of(problem, trajectory, theta, noise)
+            wanted, covariance, events = step_of(problem, trajectory, theta, noise)
             step = np.clip(wanted, -_LONGEST_STEP * prior, _LONGEST_STEP * prior)
+            noise = replace(noise, events=events)
         if before is not None and _same(before, noise, step, np.sqrt(np.diag(covariance))):
             break
         if _rms(problem, trajectory) > most_rms:

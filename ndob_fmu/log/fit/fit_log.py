@@ -12,9 +12,10 @@ import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
+from ndob_fmu.log.fit.fit_parameters import ORDERS, SURE, Told, as_told, with_parameters
 from ndob_fmu.log.fit.map_step import LearnedMap, MapStep, learn_maps
 from ndob_fmu.log.fit.pace import rates_for
-from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
+from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
 from ndob_fmu.log.fit.tried_rates import Followed, best_followed
 from ndob_fmu.log.told_values import start_values_text, told_values
@@ -25,28 +26,12 @@ from ndob_fmu.support.files import atomic_folder
 from ndob_fmu.support.progress import begin
 
 FIT, SUMMARY = "fit.json", "fit_summary.json"
-_ORDERS = (1, 2)
 # What a log shows of a disturbance may not be its largest; a bound below this multiple of it is raised.
 _BEYOND, _FAR_BEYOND = 1.2, 2.0
-# A parameter whose standard deviation the log does not lower by this factor is not told by it.
-_NOT_TOLD = 0.5
-# Fitted parameters that leave a disturbance larger by this factor stand for something else that the model lacks. Where
-# it is so much larger on the way there, it will not fall again.
-_LARGER, _FAR_LARGER = 1.2, 2.0
-# A gain of the held-out log-likelihood that is worth another order.
-_SURE = 2.0
 # A jump that is too small to be noticed at once must be followed, too: the part of the mean rate of all jumps.
 _OF_JUMPS = 0.3
 # Rows along which rates are tried.
 _MOST_TRIED = 2000
-
-
-@dataclass(frozen=True)
-class Told:
-    """A number that a log tells, and its standard deviation in the same unit."""
-
-    value: float
-    std: float
 
 
 @dataclass(frozen=True)
@@ -133,16 +118,9 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     setup, held_out = setup.with_values(raised), run.rows - best.problem.trained
     if held_out:
         setup, best = _with_all_rows(setup, run, best)
-    if setup.free:
-        setup, best = _with_parameters(setup, run, best, warnings)
+    parameters, best = with_parameters(setup, run, best, warnings)
     warnings += [f"{name} is raised to {value:.3g}, because the log shows more" for name, value in raised.items()]
-    std = np.sqrt(np.diag(best.covariance))
-    parameters = {
-        name: Told(float(value), float(own)) for name, value, own in zip(setup.free, best.parameters, std, strict=True)
-    }
-    told = {
-        key: number for name, one in parameters.items() for key, number in ((name, one.value), (f"{name}_std", one.std))
-    }
+    told = as_told(parameters)
     setup, best, maps = _with_maps(setup.with_values(told), run, best)
     warnings += maps.warnings
     noise_std = _noise_std(setup, best)
@@ -180,7 +158,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
 
 def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:
     fits = {}
-    for order in _ORDERS:
+    for order in ORDERS:
         begin(f"fitting, part {1 + order} of 5: noise, pace and jumps with disturbance_order {order}")
         problem = setup.problem(run, order)
         fits[order] = fit_class(problem, setup.trajectory(run, problem), most_likely)
@@ -194,38 +172,6 @@ def _with_all_rows(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, Clas
     return setup, fit_class(problem, known.trajectory, most_likely, start=known.with_held_out_events)
 
 
-def _with_parameters(setup: Setup, run: Run, known: ClassFit, warnings: list[str]) -> tuple[Setup, ClassFit]:
-    """Return the fit of the parameters that the log tells, in the class that was found, and the setup with these."""
-    lacks_more = False
-    while setup.free:
-        begin(f"fitting, part 4 of 5: {', '.join(setup.free)}")
-        problem = setup.problem(run, known.order)
-        if not lacks_more:
-            most_rms = _FAR_LARGER * known.disturbance_rms
-            fit = fit_class(problem, known.trajectory, most_likely, start=known, most_rms=most_rms)
-            told = _told(fit)
-            lacks_more = any(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms
-            if lacks_more:
-                warnings.append(
-                    f"{', '.join(setup.free)}: more likely values leave a disturbance of {fit.disturbance_rms:.3g} "
-                    f"RMS, those told {known.disturbance_rms:.3g}; the model lacks something else, and the values that "
-                    "leave least are taken"
-                )
-        if lacks_more:
-            fit = fit_class(problem, known.trajectory, least_disturbance, start=known, climbs=False)
-            told = _told(fit)
-        warnings += [
-            f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told, and "
-            f"{name}_std tells the error bars how far off it may be"
-            for name, one in zip(setup.free, told, strict=True)
-            if not one
-        ]
-        if all(told):
-            return setup, fit
-        setup = replace(setup, free=tuple(name for name, one in zip(setup.free, told, strict=True) if one))
-    return setup, known
-
-
 def _with_maps(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, ClassFit, MapStep]:
     """Return the maps that the log tells, and the fit of what remains of the disturbance."""
     maps = learn_maps(setup.model, known, setup.values)
@@ -235,11 +181,6 @@ def _with_maps(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, ClassFit
     problem, trajectory = setup.problem(run, known.order), known.trajectory.copy()
     trajectory[:, problem.layout.disturbance] -= maps.disturbance
     return setup, fit_class(problem, trajectory, most_likely), maps
-
-
-def _told(fit: ClassFit) -> list[bool]:
-    """Return of each free parameter whether the log tells it."""
-    return [bool(one) for one in np.sqrt(np.diag(fit.covariance)) <= _NOT_TOLD * fit.problem.parameter_std]
 
 
 def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, run: Run) -> Array:
@@ -272,7 +213,7 @@ def _best(fits: Mapping[int, ClassFit]) -> ClassFit:
     ranked = sorted(fits)
     best = fits[ranked[0]]
     for order in ranked[1:]:
-        if fits[order].judged > best.judged + _SURE and fits[order].noise.value > best.noise.value:
+        if fits[order].judged > best.judged + SURE and fits[order].noise.value > best.noise.value:
             best = fits[order]
     return best
 

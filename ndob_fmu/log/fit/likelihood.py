@@ -37,15 +37,20 @@ class Moved:
 class Likelihood:
     """L, and what each sample says of ψ (m,).
 
-    value: L
+    values (S,): L of each piece
     surprise (2p,R): of each output e/√α and (1 − e²/α)/√2, along R rows; without order, and of variance 1 where the
         model is right
     answer (m,2p,R): what ψ does to them
     """
 
-    value: float
+    values: Array
     surprise: Array
     answer: Array
+
+    @property
+    def value(self) -> float:
+        """L."""
+        return float(self.values.sum())
 
     @property
     def slopes(self) -> Array:
@@ -70,7 +75,7 @@ def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelih
     e, e_moved = _in_time(run.innovation[:, 0] / std), _of_each(run.innovation[:, 1:] / std[:, None])
     more = np.where(there[:, None], alpha[:, 1:] / alpha[:, :1] - 1.0, 0.0)
     return Likelihood(
-        value=float(run.log_likelihoods[:, 0].sum()),
+        values=np.asarray(run.log_likelihoods[:, 0].sum(axis=0)),
         surprise=np.concatenate([e, np.where(_in_time(there), 1.0 - e**2, 0.0) * np.sqrt(0.5)]),
         answer=np.concatenate([(e_moved - e) / by, _of_each(more) * np.sqrt(0.5) / by], axis=1),
     )

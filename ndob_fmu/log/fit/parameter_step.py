@@ -7,11 +7,15 @@ be larger than with the parameters as told. Those that leave the least disturban
 
 from __future__ import annotations
 
+from functools import partial
+from typing import NamedTuple
+
 import numpy as np
 
-from ndob_fmu.log.events import Jumps
+from ndob_fmu.log.events import Events, Jumps
 from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood
+from ndob_fmu.log.fit.needed_events import needed_events
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.linear_record import Smoothed
@@ -21,12 +25,18 @@ from ndob_fmu.runtime.arrays import Array
 
 # Differences are taken over this part of a parameter's prior standard deviation.
 _MOVED = 1e-3
-# Parameters that are wrong by more than so many standard deviations leave more in the innovations than noise does.
-_FAR = 3.0
 
 
-def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
-    """Return the step (n_θ,) of Fisher's scoring to the most likely parameters, and their covariance (n_θ,n_θ).
+class Step(NamedTuple):
+    """A step (n_θ,) of the parameters, their covariance (n_θ,n_θ), and the events that are needed beside it."""
+
+    step: Array
+    covariance: Array
+    events: Events
+
+
+def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> Step:
+    """Return the step of Fisher's scoring to the most likely parameters.
 
     noise: the most likely one at θ
 
@@ -45,16 +55,20 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
 
     record, columns = pieces(np.zeros(n))
     centre, of_noise = moved(record, problem.layout, columns, noise.logs)
-    found = likelihood(centre, [*map(told, np.diag(_MOVED * prior)), *of_noise], noise.events)
+    every = [*map(told, np.diag(_MOVED * prior)), *of_noise]
     of_prior = np.concatenate([prior**-2.0, np.full(len(of_noise), UNKNOWN**-2)])
+    prior_slopes = -(theta - problem.told) / prior**2
+
+    events = needed_events(
+        noise.events, partial(likelihood, centre, every), record.pieces.first, prior_slopes, np.diag(of_prior[:n])
+    )
+    found = likelihood(centre, every, events)
     slopes = found.slopes
-    slopes[:n] -= (theta - problem.told) / prior**2
+    slopes[:n] += prior_slopes
     inverse = np.asarray(np.linalg.inv(found.information + np.diag(of_prior)))
     bars = widened(inverse, inverse, found.answer, found.surprise)
-    step, covariance = (inverse @ slopes)[:n], bars[:n, :n]
-    if np.any(np.abs(step) > _FAR * np.sqrt(np.diag(covariance))):
-        step = np.asarray(np.linalg.solve(_apart(found, n) + np.diag(of_prior), slopes))[:n]
-    return step, covariance
+    step = np.asarray(np.linalg.solve(_apart(found, n) + np.diag(of_prior), slopes))
+    return Step(step[:n], bars[:n, :n], events)
 
 
 def _apart(found: Likelihood, n: int) -> Array:
@@ -68,8 +82,8 @@ def _apart(found: Likelihood, n: int) -> Array:
     return information
 
 
-def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
-    """Return a step (n_θ,) to the least mean square of the smoothed disturbance, and its covariance (n_θ,n_θ).
+def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> Step:
+    """Return a step to the least mean square of the smoothed disturbance.
 
     The covariance counts what the disturbance is along each piece, not each row, as one observation of its own.
     Differences are one-sided: the disturbance is nearly linear in θ.
@@ -93,7 +107,7 @@ def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: 
     left = d + np.einsum("alsq,a->lsq", slopes, step)
     of_pieces = np.einsum("alsq,lsq->sa", slopes, left)
     covariance = inverse @ (of_pieces.T @ of_pieces) @ inverse
-    return step, widened(covariance, inverse, _in_time(slopes), _in_time(left))
+    return Step(step, widened(covariance, inverse, _in_time(slopes), _in_time(left)), noise.events)
 
 
 def _in_time(pieces: Array) -> Array:
