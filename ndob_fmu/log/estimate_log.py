@@ -18,6 +18,7 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.estimate_figures import Thinned, write_figures
 from ndob_fmu.log.log import Found
 from ndob_fmu.log.log_columns import Signals
+from ndob_fmu.log.misfit import said_of_misfit
 from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Run, Stretch, along
 from ndob_fmu.log.plausible import plausibility, with_likely_cause
@@ -121,7 +122,7 @@ def estimate_log(
     before = observer.estimate(observer.init(x_hat), first.outputs[0].tolist())
     check.start(first.outputs[0], before)
     table, kept = ResultTable(eq, before, smooths=smooths), Thinned()
-    counts, tally = _Counts(), ResidualTally(len(eq.outputs), start_samples(sampled))
+    counts, tally = _Counts(len(eq.outputs)), ResidualTally(len(eq.outputs), start_samples(sampled))
 
     def rows(run: Run | None) -> Iterator[Recording]:
         stretches = along(observer, x_hat, chain([first], blocks), run)
@@ -148,7 +149,8 @@ def estimate_log(
                 raise IntegrationError(with_likely_cause(str(error), check.warnings())) from error
         diagnoses = dict(zip(eq.outputs, tally.diagnoses(), strict=True))
         verdicts, build = _verdicts(eq, sampled, diagnoses), build_of(run)
-        estimated = counts.estimated(build, diagnoses, verdicts, (*warnings, *check.warnings()), smooths=smooths)
+        warnings = [*warnings, *check.warnings(), *said_of_misfit(eq, counts.misfit)]
+        estimated = counts.estimated(build, diagnoses, verdicts, tuple(warnings), smooths=smooths)
         disturbances, outputs = _with_units(eq, eq.disturbances), _with_units(eq, eq.outputs)
         write_figures(new, kept, disturbances, outputs, diagnoses, estimated.shown_time, smooths=smooths)
         wall_time = time.perf_counter() - began
@@ -159,8 +161,9 @@ def estimate_log(
 class _Counts:
     """What is counted while a log passes."""
 
-    def __init__(self) -> None:
+    def __init__(self, outputs: int) -> None:
         self._found, self._rows, self._valid, self._jumps, self._outliers = Found(), 0, 0.0, 0, 0
+        self.misfit = np.zeros(outputs)
         self._first, self._last, self._usual, self._gaps = 0.0, 0.0, 0.0, 0
         self._sums = np.zeros(3)
 
@@ -179,6 +182,7 @@ class _Counts:
         self._valid += float(stretch.online.valid.sum())
         if smoothed is not None:
             self._jumps, self._outliers = self._jumps + smoothed.jumps, self._outliers + smoothed.outliers
+            self.misfit = np.maximum(self.misfit, smoothed.misfit)
 
     def estimated(
         self,

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.along import Samples, Start, intensities, record_along, unpacked_rows
 from ndob_fmu.log.event_search import explained
-from ndob_fmu.log.events import Events, Explained
-from ndob_fmu.log.linear_record import Smoothed
+from ndob_fmu.log.events import Events, Explained, Jumps, with_events
+from ndob_fmu.log.linear_record import LinearRecord, Smoothed
+from ndob_fmu.log.misfit import is_followed, variance_of_misfit
 from ndob_fmu.log.online import Stretch
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.whole_record import WholeRecord
@@ -28,6 +29,8 @@ _LOOK_AHEAD = 2000
 # Rows after which a ratio of the noise, which follows the residuals, can be believed.
 _SURE = 200
 _LEAST_SPACING = 3
+# A disturbance that may be so many times as fast can do anything.
+_FREE = 100.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class SmoothedStretch:
 
     x, x_std (K,n), d, d_std (K,q2): states and disturbances with their error bars
     jumps, outliers: how many were found
+    misfit (p,): standard deviation of what the model's error adds to a sample, in the median
     """
 
     x: Array
@@ -44,6 +48,7 @@ class SmoothedStretch:
     d_std: Array
     jumps: int
     outliers: int
+    misfit: Array
 
 
 def start_samples(observer: SampledObserver) -> int:
@@ -77,7 +82,7 @@ def smooth(
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
         found, trajectory = explained_stretch(tuned, equations, part, start, started)
         K = len(stretch.log.time)
-        yield stretch, smoothed_stretch(equations, found, trajectory, part.log.inputs, K)
+        yield stretch, smoothed_stretch(equations, found, trajectory, part, K)
         if following is None:
             return
         start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
@@ -99,10 +104,16 @@ def explained_stretch(
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
 
-    def linearised(trajectory: Array, events: Events) -> Explained:
-        record, columns = record_along(
-            equations, samples, trajectory, lambda steps: intensities(tuned, steps), start, apart=False
+    def record_of(trajectory: Array, factor: float = 1.0) -> tuple[LinearRecord, Jumps]:
+        return record_along(
+            equations, samples, trajectory, lambda steps: factor * intensities(tuned, steps), start, apart=False
         )
+
+    def linearised(trajectory: Array, events: Events) -> Explained:
+        record, columns = record_of(trajectory)
+        if not is_followed(with_events(WholeRecord(record), columns, events).forward):
+            more = variance_of_misfit(record_of(trajectory, _FREE**2)[0], columns, events)
+            record = replace(record, variance=record.variance + more)
         return explained(WholeRecord(record), columns, spacing, started, events)
 
     def smoothed(trajectory: Array, events: Events) -> tuple[Array, Events]:
@@ -125,12 +136,17 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
     return np.asarray(model.noise_variance * np.reshape(used, believed.shape))
 
 
-def smoothed_stretch(equations: RowModel, found: Explained, about: Array, inputs: Array, rows: int) -> SmoothedStretch:
-    """Return the smoothed estimate at the first rows, for inputs (K,m)."""
+def variance_of_model(model: FilterModel, found: Explained, part: Stretch) -> Array:
+    """Return what the model's error adds to the variances (K,p) of the samples of a stretch."""
+    return np.asarray(found.record.variance - noise_variance(model, part.online.noise_ratio))
+
+
+def smoothed_stretch(equations: RowModel, found: Explained, about: Array, part: Stretch, rows: int) -> SmoothedStretch:
+    """Return the smoothed estimate at the first rows of a stretch."""
     model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
     all_rows = Smoothed(found.forward, found.adjoint)
     xi, std = about[:rows] + all_rows.xi[:rows], all_rows.std[:rows]
-    more = equations.taken_for_disturbance(about[:rows], inputs[:rows])
+    more = equations.taken_for_disturbance(about[:rows], part.log.inputs[:rows])
     d, d_std = as_published(model, xi[:, places], std[:, places] ** 2 + more)
     return SmoothedStretch(
         x=xi[:, :n],
@@ -139,4 +155,5 @@ def smoothed_stretch(equations: RowModel, found: Explained, about: Array, inputs
         d_std=d_std,
         jumps=sum(k < rows for k in found.events.jumps),
         outliers=sum(k < rows for k, _ in found.events.outliers),
+        misfit=np.sqrt(np.median(variance_of_model(model, found, part), axis=0)),
     )

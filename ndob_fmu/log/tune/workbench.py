@@ -23,7 +23,7 @@ from ndob_fmu.log.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.first_block import first_block, run_along
 from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord, Smoothed
 from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smooth_log import event_spacing, explained_stretch, noise_variance
+from ndob_fmu.log.smooth_log import event_spacing, explained_stretch, noise_variance, variance_of_model
 from ndob_fmu.log.smoothable import check_smoothed
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
@@ -125,6 +125,7 @@ class Workbench:
             tuned, rows, self.stretch, self._start(observer, tuned.model), tuned.model.start_samples
         )
         self._layout, self._about, self._events = tuned.model.layout, about, found.events
+        self._of_model = variance_of_model(tuned.model, found, self.stretch)
 
     @property
     def bound(self) -> list[float]:
@@ -182,7 +183,7 @@ class Workbench:
         record = replace(
             linear.record,
             noise=linear.record.noise * factor[:, None, : c * N],
-            variance=noise_variance(model, self._noise_ratio(settings)),
+            variance=noise_variance(model, self._noise_ratio(settings)) + self._of_model,
             start_factor=np.diag(model.start_std),
         )
         return tuned, linear, WholeRecord(record)
