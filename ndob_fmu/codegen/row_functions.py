@@ -9,6 +9,7 @@ from math import prod
 
 import numpy as np
 import sympy
+from sympy.printing.numpy import NumPyPrinter
 
 from ndob_fmu.codegen.build_definitions import input_slopes, linearisation, sensitivity
 from ndob_fmu.codegen.once_per_model import once_per_model
@@ -17,6 +18,9 @@ from ndob_fmu.runtime.arrays import Array
 
 # Rows that the processor keeps near itself.
 _NEAR = 1000
+
+# SymPy's names of the functions that NumPy has.
+_OF_NUMPY = {name for name, own in NumPyPrinter().known_functions.items() if own.startswith("numpy.")}
 
 # x (K,n), u (K,m), d (K,q2), p (K,n_p) → (K,…)
 RowFunction = Callable[[Array, Array, Array, Array], Array]
@@ -69,10 +73,14 @@ def _function(
 ) -> RowFunction:
     @cache
     def compiled() -> Callable[..., Sequence[Array | float]]:
+        wanted = list(expressions())
+        functions = {type(one).__name__ for expression in wanted for one in expression.atoms(sympy.Function)}
+        # SciPy, which takes a tenth of a second to import, has those that NumPy has not.
+        knows_all = functions <= _OF_NUMPY
         found: Callable[..., Sequence[Array | float]] = sympy.lambdify(
             [symbol for group in symbols for symbol in group],
-            list(expressions()),
-            modules=["numpy", "scipy"],
+            wanted,
+            modules=["numpy"] if knows_all else ["numpy", "scipy"],
             cse=True,
             dummify=True,
         )

@@ -1,8 +1,12 @@
 """The equations of all rows at once are those that the observer uses row by row."""
 
+import math
+
 import numpy as np
 import pytest
+import sympy
 
+from ndob_fmu import Model
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
@@ -78,6 +82,21 @@ def test_what_parameters_add_to_the_error_bar_of_all_rows_is_that_of_each_row():
     expected = [found.taken_for_disturbance(one, of.tolist()) for one, of in zip(xi, u, strict=True)]
     assert np.min(expected) > 0.0
     np.testing.assert_allclose(added, expected, rtol=1e-12)
+
+
+def test_equations_for_rows_have_the_functions_that_numpy_lacks():
+    def dynamics(x, u, d, p):
+        return [x.rate, d.force + sympy.erf(x.place) + sympy.Max(x.rate, 0.2) + sympy.tanh(u.push)]
+
+    model = Model(
+        name="Odd", states=["place", "rate"], inputs=["push"], outputs=["place"], disturbances=["force"],
+        dynamics=dynamics, disturbance_bound=1.0,
+    )  # fmt: skip
+    x, u, d = np.array([[0.5, 0.1], [-0.3, 0.4], [2.0, 0.3]]), np.array([[0.1], [0.2], [0.3]]), np.ones((3, 1))
+    found = row_functions(model).derivatives(x, u, d, np.empty((3, 0)))
+    for row, (place, rate), (push,) in zip(found, x.tolist(), u.tolist(), strict=True):
+        expected = [rate, 1.0 + math.erf(place) + max(rate, 0.2) + math.tanh(push)]
+        np.testing.assert_allclose(row, expected, rtol=1e-14)
 
 
 def test_a_chain_of_integrators_has_units_in_which_its_norm_is_small_however_long_the_step():
