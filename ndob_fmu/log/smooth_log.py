@@ -11,6 +11,7 @@ from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.along import Samples, Start, intensities, record_along, unpacked_rows
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained, Jumps, with_events
+from ndob_fmu.log.jump_instants import mixed
 from ndob_fmu.log.linear_record import LinearRecord, Smoothed
 from ndob_fmu.log.misfit import is_followed, variance_of_misfit
 from ndob_fmu.log.online import Stretch
@@ -80,9 +81,9 @@ def smooth(
     while True:
         following = next(stretches, None)
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
-        found, trajectory = explained_stretch(tuned, equations, part, start, started)
+        found, columns, trajectory = explained_stretch(tuned, equations, part, start, started)
         K = len(stretch.log.time)
-        yield stretch, smoothed_stretch(equations, found, trajectory, part, K)
+        yield stretch, smoothed_stretch(equations, found, columns, trajectory, part, K)
         if following is None:
             return
         start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
@@ -92,7 +93,7 @@ def smooth(
 
 def explained_stretch(
     tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int
-) -> tuple[Explained, Array]:
+) -> tuple[Explained, Jumps, Array]:
     """Return a stretch as its events explain it, and the trajectory (K,N) about which it is linear.
 
     started: rows of the start, in which the disturbance is unknown anyway
@@ -109,21 +110,21 @@ def explained_stretch(
             equations, samples, trajectory, lambda steps: factor * intensities(tuned, steps), start, apart=False
         )
 
-    def linearised(trajectory: Array, events: Events) -> Explained:
+    def linearised(trajectory: Array, events: Events) -> tuple[Explained, Jumps]:
         record, columns = record_of(trajectory)
         if not is_followed(with_events(WholeRecord(record), columns, events).forward):
             more = variance_of_misfit(record_of(trajectory, _FREE**2)[0], columns, events)
             record = replace(record, variance=record.variance + more)
-        return explained(WholeRecord(record), columns, spacing, started, events)
+        return explained(WholeRecord(record), columns, spacing, started, events), columns
 
     def smoothed(trajectory: Array, events: Events) -> tuple[Array, Events]:
-        found = linearised(trajectory, events)
+        found, _ = linearised(trajectory, events)
         return trajectory + Smoothed(found.forward, found.adjoint).xi, found.events
 
     about = unpacked_rows(model.layout, said.predicted)
     if not model.is_linear:
         about, events = smoothed(about, events)
-    return linearised(about, events), about
+    return *linearised(about, events), about
 
 
 def noise_variance(model: FilterModel, ratio: Array) -> Array:
@@ -141,13 +142,17 @@ def variance_of_model(model: FilterModel, found: Explained, part: Stretch) -> Ar
     return np.asarray(found.record.variance - noise_variance(model, part.online.noise_ratio))
 
 
-def smoothed_stretch(equations: RowModel, found: Explained, about: Array, part: Stretch, rows: int) -> SmoothedStretch:
+def smoothed_stretch(
+    equations: RowModel, found: Explained, columns: Jumps, about: Array, part: Stretch, rows: int
+) -> SmoothedStretch:
     """Return the smoothed estimate at the first rows of a stretch."""
     model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
     all_rows = Smoothed(found.forward, found.adjoint)
-    xi, std = about[:rows] + all_rows.xi[:rows], all_rows.std[:rows]
+    xi, std = about + all_rows.xi, all_rows.std
+    d, variance = mixed(found, columns, xi[:, places], std[:, places] ** 2)
+    xi, std = xi[:rows], std[:rows]
     more = equations.taken_for_disturbance(about[:rows], part.log.inputs[:rows])
-    d, d_std = as_published(model, xi[:, places], std[:, places] ** 2 + more)
+    d, d_std = as_published(model, d[:rows], variance[:rows] + more)
     return SmoothedStretch(
         x=xi[:, :n],
         x_std=std[:, :n],

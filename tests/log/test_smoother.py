@@ -7,6 +7,7 @@ import pytest
 
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Jumps
+from ndob_fmu.log.jump_instants import mixed
 from ndob_fmu.log.linear_record import LinearRecord, Smoothed
 from ndob_fmu.log.smoother import backward, forward
 from ndob_fmu.log.whole_record import WholeRecord
@@ -144,6 +145,25 @@ def test_what_is_no_event_after_all_is_given_up():
     record, columns = double_integrator(600, np.full(600, 0.7), seed=4)
     known = Events({200: False, 400: True}, frozenset({(77, 0)}))
     assert explained(record, columns, 5, 9, known).events == Events()
+
+
+def test_the_bar_says_where_a_row_may_be_before_or_behind_a_jump():
+    """A jump in the middle of a step looks nearly as one at the sample before it, or as one late in the step."""
+    d, effective = (np.where(np.arange(300) <= 150, at_jump, 1.2) for at_jump in (0.2, 0.7))
+    d[:150], effective[:150], K = 0.2, 0.2, slice(140, 160)
+    far, squares = np.zeros(2), np.zeros(2)
+    for seed in range(20):
+        record, columns = double_integrator(300, effective, seed, sigma=3e-4)
+        found = explained(record, columns, 20, 9)
+        plain = Smoothed(found.forward, found.adjoint)
+        xi, variance = plain.xi[:, 2:], plain.std[:, 2:] ** 2
+        for i, (value, of_it) in enumerate([(xi, variance), mixed(found, columns, xi, variance)]):
+            error = (value[:, 0] - d)[K]
+            far[i] += np.any(np.abs(error) > 3.0 * np.sqrt(of_it[K, 0]))
+            squares[i] += np.mean(error**2)
+    assert far[0] >= 5
+    assert far[1] <= 1
+    assert squares[1] < 0.8 * squares[0]
 
 
 @pytest.mark.parametrize("rate", [3.0, 1e-4, 0.0])

@@ -81,7 +81,8 @@ def test_settings_count_as_if_they_had_been_told_once_the_jumps_are_found_anew(l
 def test_each_later_sample_makes_the_band_narrower(workbench):
     shown = workbench.shown(replace(workbench.told, lag=0.05))
     assert np.all(shown.lagged.std <= shown.online.std * (1.0 + 1e-9))
-    assert np.all(shown.smoothed.std <= shown.lagged.std * (1.0 + 1e-9))
+    # The smoothed one also says of which rows it is not sure whether they are behind a jump.
+    assert np.sum(shown.smoothed.std > shown.lagged.std * (1.0 + 1e-9)) <= shown.jumps
     assert shown.smoothed.std.mean() < 0.95 * shown.lagged.std.mean() < 0.9 * shown.online.std.mean()
 
 

@@ -21,6 +21,7 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.event_search import explained
 from ndob_fmu.log.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.first_block import first_block, run_along
+from ndob_fmu.log.jump_instants import mixed
 from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord, Smoothed
 from ndob_fmu.log.row_model import RowModel
 from ndob_fmu.log.smooth_log import event_spacing, explained_stretch, noise_variance, variance_of_model
@@ -121,7 +122,7 @@ class Workbench:
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)
-        found, about = explained_stretch(
+        found, _, about = explained_stretch(
             tuned, rows, self.stretch, self._start(observer, tuned.model), tuned.model.start_samples
         )
         self._layout, self._about, self._events = tuned.model.layout, about, found.events
@@ -225,7 +226,7 @@ class Workbench:
         return Shown(
             online=_filtered(model, linear, run),
             lagged=_with(model, linear, run, lagged_adjoint(found.record, run, rows)) if rows else None,
-            smoothed=_with(model, linear, run, found.adjoint),
+            smoothed=_smoothed(model, linear, found),
             residual=residual,
             residual_std=residual_std,
             jumps=len(found.events.jumps),
@@ -277,3 +278,11 @@ def _with(model: FilterModel, linear: _Linear, run: Forward, adjoint: Adjoint) -
     d = model.layout.disturbance
     xi, variance = Smoothed(run, adjoint).some(d)
     return Band(*as_published(model, linear.trajectory[:, d] + xi, variance + linear.more))
+
+
+def _smoothed(model: FilterModel, linear: _Linear, found: Explained) -> Band:
+    """Return the estimate with all samples."""
+    d = model.layout.disturbance
+    xi, variance = Smoothed(found.forward, found.adjoint).some(d)
+    value, variance = mixed(found, linear.columns, linear.trajectory[:, d] + xi, variance)
+    return Band(*as_published(model, value, variance + linear.more))
