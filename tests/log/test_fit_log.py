@@ -121,6 +121,15 @@ def test_a_parameter_is_found_within_its_error_bar(fitted):
     assert abs(mass.value - 2.0) < 2.0 * mass.std < 0.2
 
 
+def test_what_a_wrong_mass_adds_to_the_disturbance_does_not_raise_its_bound(tmp_path):
+    made_log(tmp_path / "log.csv", "sine", 3, rows=1500)
+    told = {"mass": 5.0, "disturbance_bound": 3.2}
+    found = fit_log(CART, tmp_path / "log.csv", tmp_path / "out", free=["mass"], start_values=told)
+    assert found.parameters["mass"].value == pytest.approx(2.0, rel=0.1)
+    assert found.start_values["disturbance_bound"] == 3.2
+    assert not any("is raised" in line for line in found.warnings)
+
+
 def test_a_parameter_that_looks_like_the_disturbance_stays_as_told_with_its_error_bar(tmp_path):
     """A tilt is a constant force, and a wind that wanders has any mean."""
 

@@ -108,7 +108,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         warnings.append(f"the first {run.rows} rows of the log are fitted, the others are not read")
     fits = _of_each_order(replace(setup, free=()), run)
     best = _best(fits)
-    raised = _raised_bounds(setup, best)
+    at_first, raised = setup, _raised_bounds(setup, best)
     if any(value > _FAR_BEYOND * setup.values[name] for name, value in raised.items()):
         # Jumps were searched for with a wrong size.
         setup = setup.with_values(raised)
@@ -119,6 +119,11 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     if held_out:
         setup, best = _with_all_rows(setup, run, best)
     parameters, best = with_parameters(setup, run, best, warnings)
+    if parameters:
+        # What the wrong parameters added to the disturbance is gone.
+        as_given = {name: at_first.values[name] for name in raised}
+        raised = _raised_bounds(at_first, best)
+        setup = setup.with_values({**as_given, **raised})
     warnings += [f"{name} is raised to {value:.3g}, because the log shows more" for name, value in raised.items()]
     told = as_told(parameters)
     setup, best, maps = _with_maps(setup.with_values(told), run, best)
