@@ -31,6 +31,19 @@ class Known:
     score: Array
     left: Array
 
+    @property
+    def explains(self) -> float:
+        """What the record would lose without it: ½ (sᵀ (I − M)⁻¹ s + log det (I − M)).
+
+        ∞ where it explains so much that of I − M only rounding errors are left.
+        """
+        try:
+            factor = np.linalg.cholesky(self.left)
+        except np.linalg.LinAlgError:
+            return float(np.inf)
+        score = np.linalg.solve(factor, self.score)
+        return float(0.5 * score @ score + np.log(np.diag(factor)).sum())
+
     def changed(self, covariance: Array, weight: Array, score: Array) -> Known:
         """Return it after a change, with which it has a covariance (c,·)."""
         weighted = covariance @ weight

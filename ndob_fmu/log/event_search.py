@@ -96,9 +96,10 @@ class Search:
         self._taken.update([*added])
         touched = self.scores.change([*gone], added)
         if self.scores.are_known:
-            try:
-                self._judge(touched)
-            except np.linalg.LinAlgError:  # rounding errors of changes leave no variance
+            self._judge(touched)
+            # Rounding errors of changes may leave no variance. At a jump that explains nearly everything that is usual.
+            others = np.setdiff1d(touched, [*better.jumps])
+            if np.isneginf([self._at_sample[others], self._in_step[others]]).any():
                 self.scores.are_known = False
 
     @property
@@ -159,11 +160,8 @@ class Search:
         gained = explained_by(columns[rows], scores[rows], variances[rows])
         for place, known in self._known_at(rows, jumps=True):  # as without the one that is there
             k = known.source.k
-            across = columns[k].T @ variances[k] @ known.source.columns
-            without = np.linalg.solve(known.left, np.column_stack([across.T, known.score]))
-            score = columns[k].T @ scores[k] + across @ without[:, -1]
-            variance = columns[k].T @ variances[k] @ columns[k] + across @ without[:, :-1]
-            gained[place] = _eliminated(score[None], variance[None])[0]
+            is_own = columns[k].shape == known.source.columns.shape
+            gained[place] = known.explains if is_own else _in_place_of(known, columns[k], scores[k], variances[k])
         return gained
 
     def _gained_by_outliers(self, rows: Rows) -> Array:
@@ -190,6 +188,15 @@ class Search:
                 yield place, one
 
 
+def _in_place_of(known: Known, columns: Array, score: Array, variance: Array) -> float:
+    """Return what a jump with columns (N,c) explains in place of one that is known at its instant."""
+    across = columns.T @ variance @ known.source.columns
+    without = np.linalg.solve(known.left, np.column_stack([across.T, known.score]))
+    own_score = columns.T @ score + across @ without[:, -1]
+    own_variance = columns.T @ variance @ columns + across @ without[:, :-1]
+    return float(_eliminated(own_score[None], own_variance[None])[0])
+
+
 def _not_copied(rows: NDArray[np.intp]) -> Rows:
     """Return rows as a slice where they follow one another."""
     return slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) and rows[-1] - rows[0] == len(rows) - 1 else rows
@@ -198,16 +205,13 @@ def _not_copied(rows: NDArray[np.intp]) -> Rows:
 def explained_by(columns: Array, scores: Array, variances: Array) -> Array:
     """Return what events with columns J (K,N,c) explain, by scores λ (K,N) and their variances Λ (K,N,N).
 
-    Raises LinAlgError where rounding errors leave no variance.
+    −∞ where rounding errors leave no variance.
     """
     in_c = c_library(len(columns))
     if in_c is None:
         score = np.einsum("knc,kn->kc", columns, scores)
         return _eliminated(score, np.swapaxes(columns, 1, 2) @ variances @ columns)
-    found = in_c.explained_by(columns, scores, variances)
-    if np.isneginf(found).any():
-        raise np.linalg.LinAlgError("no variance is left")
-    return found
+    return in_c.explained_by(columns, scores, variances)
 
 
 def _eliminated(score: Array, variance: Array) -> Array:
@@ -215,9 +219,9 @@ def _eliminated(score: Array, variance: Array) -> Array:
     c = score.shape[1]
     left, gained = np.concatenate([np.eye(c) + variance, score[:, :, None]], axis=2), np.zeros(len(score))
     for _ in range(c):
-        pivot = left[:, 0, 0]
-        if (pivot <= 0.0).any():
-            raise np.linalg.LinAlgError("no variance is left")
+        is_left = left[:, 0, 0] > 0.0
+        pivot = np.where(is_left, left[:, 0, 0], 1.0)
+        gained[~is_left] = -np.inf
         row = left[:, 0, 1:] / pivot[:, None]
         gained += left[:, 0, -1] * row[:, -1] - np.log(pivot)
         left = left[:, 1:, 1:] - left[:, 1:, :1] * row[:, None]

@@ -162,8 +162,7 @@ def test_where_rounding_errors_leave_an_event_no_variance_both_say_so(in_numpy):
     variances[900] *= -2.0
     told = (np.ones((ROWS, 3, 2)), np.ones((ROWS, 3)), variances)
     for call in (found_in_c, in_numpy):
-        with pytest.raises(np.linalg.LinAlgError, match="no variance"):
-            call(explained_by, *told)
+        assert np.flatnonzero(np.isneginf(call(explained_by, *told))).tolist() == [900]
 
 
 @given(st.data())

@@ -61,3 +61,46 @@ def test_events_that_take_turns_end_the_search(monkeypatch, times):
     monkeypatch.setattr(Search, "change", lambda self, better: changes.append(better) or change(self, better))
     explained(WholeRecord(told), columns, 5, 9)
     assert len(changes) < 200
+
+
+def jumping_record():
+    """A record of a disturbance that jumps at 250, with an outlier at 100."""
+    return double_integrator(600, np.where(np.arange(600) < 250, 0.2, 1.5), seed=2, bad={100: 3.0}.items())
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("name", "spoilt"),
+    [
+        # −1 / JᵀJ, so that I + M of a jump is singular; and less than nothing for a sample
+        ("of_state_variance", np.diag([0.0, 0.0, -1.0 / 18.0])),
+        ("of_sample_variance", -1.0),
+    ],
+)
+def test_a_variance_that_rounding_errors_leave_none_does_not_change_what_is_found(monkeypatch, name, spoilt):
+    record, columns = jumping_record()
+    columns = Jumps(columns.at_sample * (18.0**0.5 / columns.at_sample.max()), columns.in_step)
+    expected, changes, change = explained(record, columns, 20, 9).events, [], event_scores.EventScores.change
+
+    def spoiling(self, gone, new):
+        touched = change(self, gone, new)
+        if not changes:
+            getattr(self, name)[touched] = spoilt
+        changes.append(touched)
+        return touched
+
+    monkeypatch.setattr(event_scores.EventScores, "change", spoiling)
+    assert explained(record, columns, 20, 9).events == expected
+    assert len(changes) > 1
+
+
+@pytest.mark.parametrize("in_step", [False, True])
+@pytest.mark.parametrize("times", [1.0, 1e5, 1e7, 1e10])
+def test_a_jump_that_explains_nearly_everything_stays(times, in_step):
+    """Of I − M only rounding errors are left then."""
+    record, columns = double_integrator(600, np.where(np.arange(600) < 250, 0.2, 1.5), seed=2)
+    calm = replace(record.whole, variance=record.whole.variance / times**2, noise=1e-6 * record.whole.noise)
+    known, told = Events({250: in_step}), WholeRecord(calm)
+    search = Search(with_events(told, columns, known), columns, 20, 9, Counter())
+    search.run()
+    assert 250 in search.events.jumps

@@ -28,8 +28,9 @@ from ndob_fmu.support.progress import begin
 FIT, SUMMARY = "fit.json", "fit_summary.json"
 # What a log shows of a disturbance may not be its largest; a bound below this multiple of it is raised.
 _BEYOND, _FAR_BEYOND = 1.2, 2.0
-# A jump that is too small to be noticed at once must be followed, too: the part of the mean rate of all jumps.
-_OF_JUMPS = 0.3
+# A jump that is too small to be noticed at once must be followed, too. Of the mean rate of all jumps: where few are so
+# small, and where an observer that follows most of them errs less than one that waits until it is sure of them.
+_OF_JUMPS, _MOST_OF_JUMPS = 0.3, 10.0
 # Rows along which rates are tried.
 _MOST_TRIED = 2000
 
@@ -203,14 +204,15 @@ def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, 
     )
     if not best.is_jumping:
         return rates
-    lowest, first = _OF_JUMPS * best.jumping_rate, best.problem.rows.model.start_samples
+    lowest, highest = _OF_JUMPS * best.jumping_rate, np.maximum(rates, _MOST_OF_JUMPS * best.jumping_rate)
+    first = best.problem.rows.model.start_samples
     smoothed = best.disturbance[: _MOST_TRIED - first]
 
     def follow(rates: Array) -> Followed:
         said = setup.along({**found, **setup.named("disturbance_rate", rates)}, run, first + len(smoothed))
         return Followed(said.d_at_sample[first:], said.d_std[first:])
 
-    return best_followed(lowest, np.maximum(rates, lowest), follow, smoothed)
+    return best_followed(lowest, highest, follow, smoothed)
 
 
 def _best(fits: Mapping[int, ClassFit]) -> ClassFit:

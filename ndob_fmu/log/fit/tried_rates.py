@@ -13,7 +13,7 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 
-_TRIED = 3
+_TRIED = 4
 # Error bars hold where so many errors are within two of them; else where as many are as with the highest rate.
 _HOLD = 0.9
 
@@ -36,8 +36,6 @@ def best_followed(lowest: Array, highest: Array, follow: Callable[[Array], Follo
 
     follow: follow(rates) runs the observer along the rows of `smoothed` (K,q2)
     """
-    if np.all(highest <= lowest):
-        return lowest
     shares = np.linspace(0.0, 1.0, _TRIED)[:, None]
     tried = [_tried(rates, follow(rates), smoothed) for rates in lowest * (highest / lowest) ** shares]
     hold = min(_HOLD, tried[-1].hold)
