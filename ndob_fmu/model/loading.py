@@ -53,7 +53,7 @@ def load_model(source: str | Path) -> Model:
             str(path),
             expected="a Python file that runs",
             received=" ".join(f"{type(error).__name__}: {error}".split()) + (f" (line {line})" if line else ""),
-            likely=_likely_field(error),
+            likely=_likely_field(error) or _likely_function(error),
         ) from error
     if not isinstance(model, Model):
         raise ModelError.report(
@@ -72,3 +72,10 @@ def _likely_field(error: BaseException) -> str:
         return ""
     names = [field.name for field in fields(known[found[1]]) if field.init]
     return nearest(found[2], names) or f"the fields are {some_of(names)}"
+
+
+def _likely_function(error: BaseException) -> str:
+    """Return the likely cause of a function that SymPy has and the file does not; empty for other errors."""
+    found = re.match(r"cannot import name '(\w+)' from 'ndob_fmu'|name '(\w+)' is not defined", str(error))
+    name = "" if found is None else found[1] or found[2]
+    return f"`from sympy import {name}` is missing" if name and hasattr(importlib.import_module("sympy"), name) else ""

@@ -72,6 +72,10 @@ MISTAKES = {
         "experiment=Experiment(step=0.1)",
         ["Experiment.__init__() got an unexpected keyword argument 'step'", "did you mean 'step_size'?"],
     ),
+    "a function of SymPy that is not imported": (
+        "disturbance_bound=sqrt(2.0)",
+        ["name 'sqrt' is not defined", "`from sympy import sqrt` is missing"],
+    ),
     "a unit that is no text": ("units={'place': 3}", ["Cart, text of place"]),
     "an unknown method": ("observer=ObserverDefaults(method=3)", ["Cart.observer.method: expected 1 or 2, received 3"]),
     "an order that is too high": ("observer=ObserverDefaults(disturbance_order=7)", ["0, 1, 2 or 3, received 7"]),
