@@ -24,7 +24,7 @@ from ndob_fmu.log.events import Explained
 from ndob_fmu.runtime.arrays import Array
 
 # Rows that are taken at once, and the part of a variance that an event changes where it is forgotten. What a filter
-# forgets in no time, it also hardly knows; there the next pass tells the rest.
+# forgets in no time, it also hardly knows; there the next pass tells the rest. Filters of `fit` forget within a piece.
 _ROWS, _MOST_ROWS = 64, 2048
 _FORGOTTEN = 1e-12
 

@@ -35,11 +35,14 @@ from ndob_fmu.log.events import (
 from ndob_fmu.log.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
 
+# Passes over a record, and rounds of changes between two of them. Made logs of three plants take up to 14 passes where
+# steps explain nearly everything, elsewhere up to 4 (`benchmarks/fit_logs.py`).
 _MOST_PASSES, _MOST_ROUNDS = 20, 40
 # An event shows in the samples around it, too. Within so many spacings of a new one there is no other in the same
 # round.
 _REACH = 10
-# One that was given up may come back, so many times: where events take turns, the search ends.
+# One that was given up may come back, so many times: where events take turns, the search ends. A step of the
+# disturbance needs one return, where an outlier or another instant stood for it first.
 _MOST_RETURNS = 1
 
 Rows = slice | NDArray[np.intp]

@@ -13,6 +13,7 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.events import Events
+from ndob_fmu.log.fit import noise_fit
 from ndob_fmu.log.fit.class_fit import ClassFit
 from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.fit_log import fit_log
@@ -49,6 +50,22 @@ def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
     for i, slope in enumerate(at(centre).slopes):
         up, down = (at(centre + sign * step * np.eye(3)[i]).value for sign in (1.0, -1.0))
         assert (up - down) / (2.0 * step) == pytest.approx(slope, rel=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "order"), [("walk", 1), ("sine", 2)])
+def test_a_noise_that_is_told_far_too_large_is_found_in_a_few_steps(tmp_path, monkeypatch, kind, order):
+    """Its likelihood is nearer to a parabola of the variance than of the logarithm, of which it takes twice as many."""
+    made_log(tmp_path / "log.csv", kind, 3, rows=700)
+    told = replace(setup(place_noise_std=0.1, rate_noise_std=1.0), hold=0.0)
+    run = told.online(tmp_path / "log.csv", None, None)
+    problem, calls = told.problem(run, order), []
+    record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
+    monkeypatch.setattr(noise_fit, "likelihood", lambda *one: calls.append(one) or likelihood(*one))
+    monkeypatch.setattr(noise_fit, "_MOST_TURNS", 1)
+    found = noise_fit.fit_noise(record, search, problem.layout, None)
+    std = np.array([0.1, 1.0]) * np.exp(0.5 * found.log_variance)
+    np.testing.assert_allclose(std, [*NOISE.values()], rtol=0.15)
+    assert len(calls) <= 10
 
 
 def test_what_stands_between_two_jumps_a_few_rows_apart_does_not_count_as_the_largest_disturbance(tmp_path):
