@@ -60,7 +60,8 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
         return Tuned(
             H, filter_model(observer, intensities.scale, 0.0), intensities, None, freezes=_may_freeze(observer)
         )
-    f_as_noise, slopes = _judged(observer.designs, H), _judged(observer.tracking, H)
+    slopes, may_freeze = _judged(observer.tracking, H), _may_freeze(observer) and _f_is_slow(observer, H)
+    f_as_noise = _judged(observer.designs, H) if slopes is None or may_freeze else None
     designs = observer.designs if slopes is None and f_as_noise is not None else observer.tracking
     judged = f_as_noise if slopes is None else slopes
     if judged is not None:
@@ -70,7 +71,7 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
     else:
         intensities, error, searched = designs.intensities(H), np.inf, None  # says why there is no tuning
     freezes = False
-    if f_as_noise is not None and _may_freeze(observer) and _f_is_slow(observer, H):
+    if f_as_noise is not None and may_freeze:
         freezes = f_as_noise.error <= _AS_GOOD**2 * error and f_as_noise.error < np.inf
         if freezes:
             intensities = f_as_noise.intensities
