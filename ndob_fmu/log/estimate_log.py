@@ -18,14 +18,14 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.estimate_figures import Thinned, write_figures
 from ndob_fmu.log.log import Found
 from ndob_fmu.log.log_columns import Signals
-from ndob_fmu.log.misfit import said_of_misfit
 from ndob_fmu.log.native_run import build_of, native_run
 from ndob_fmu.log.online import Run, Stretch, along
 from ndob_fmu.log.plausible import plausibility, with_likely_cause
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable, table_lines
-from ndob_fmu.log.smooth_log import SmoothedStretch, smooth, start_samples
-from ndob_fmu.log.smoothable import not_smoothed
+from ndob_fmu.log.smooth.misfit import said_of_misfit
+from ndob_fmu.log.smooth.smooth_log import SmoothedStretch, smooth, start_samples
+from ndob_fmu.log.smooth.smoothable import not_smoothed
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.results.csv_files import write_csv_parts

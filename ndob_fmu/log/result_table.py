@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ndob_fmu.interface.model_variables import observer_variables
-from ndob_fmu.log.c_library import c_library
 from ndob_fmu.log.online import Online, Stretch
-from ndob_fmu.log.smooth_log import SmoothedStretch
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.smooth_log import SmoothedStretch
 from ndob_fmu.results.csv_files import csv_lines
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array

@@ -11,19 +11,19 @@ from hypothesis.extra.numpy import arrays
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
-from ndob_fmu.log import c_library as module
-from ndob_fmu.log.c_library import c_library
 from ndob_fmu.log.estimate_log import estimate_log
-from ndob_fmu.log.event_effects import AlongRecord, Source
-from ndob_fmu.log.event_search import explained_by
-from ndob_fmu.log.events import Events, Jumps, with_events
-from ndob_fmu.log.pieces import CutRecord, parts_of, side_by_side
-from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.row_transition import row_transition
-from ndob_fmu.log.smoother import backward, forward, lower_factor
+from ndob_fmu.log.smooth import c_library as module
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.event_effects import AlongRecord, Source
+from ndob_fmu.log.smooth.event_search import explained_by
+from ndob_fmu.log.smooth.events import Events, Jumps, with_events
+from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.row_transition import row_transition
+from ndob_fmu.log.smooth.smoother import backward, forward, lower_factor
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
-from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.results.csv_files import csv_lines
 from tests.helpers.needs import C_COMPILER

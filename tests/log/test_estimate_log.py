@@ -231,7 +231,7 @@ def test_stretches_of_a_long_log_join_without_a_seam(tmp_path, monkeypatch, with
     log = write_log(tmp_path / "log.csv", time, *simulated(time, gusts(time), [*NOISE.values()], 6))
     estimate_log(CART, log, tmp_path / "whole", start_values=TUNED)
     monkeypatch.setattr("ndob_fmu.log.read_log.read_log.__defaults__", (200,))
-    monkeypatch.setattr("ndob_fmu.log.smooth_log._LOOK_AHEAD", 190)
+    monkeypatch.setattr("ndob_fmu.log.smooth.smooth_log._LOOK_AHEAD", 190)
     estimate_log(CART, log, tmp_path / "parts", start_values=TUNED)
     whole, parts = (read_csv(tmp_path / name / "result.csv") for name in ("whole", "parts"))
     np.testing.assert_array_equal(whole.time, parts.time)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ndob_fmu.log import event_effects, event_scores, event_search
-from ndob_fmu.log.event_search import Search, explained
-from ndob_fmu.log.events import Events, Jumps, with_events
-from ndob_fmu.log.whole_record import WholeRecord
+from ndob_fmu.log.smooth import event_effects, event_scores, event_search
+from ndob_fmu.log.smooth.event_search import Search, explained
+from ndob_fmu.log.smooth.events import Events, Jumps, with_events
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from tests.log.test_smoother import double_integrator, random_record
 
 NONE = Events()

@@ -12,7 +12,6 @@ from ndob_fmu.cli import main
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import told_observer
-from ndob_fmu.log.events import Events
 from ndob_fmu.log.fit import noise_fit
 from ndob_fmu.log.fit.class_fit import ClassFit
 from ndob_fmu.log.fit.error_bars import widened
@@ -21,6 +20,7 @@ from ndob_fmu.log.fit.likelihood import likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, moved
 from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.read_log import read_log
+from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.log.told_values import told_values
 from tests.log.made_logs import made_log
 from tests.log.test_estimate_log import CART

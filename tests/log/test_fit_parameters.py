@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.log.events import Events
 from ndob_fmu.log.fit.class_fit import fit_class
 from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.fit.likelihood import Likelihood
@@ -14,6 +13,7 @@ from ndob_fmu.log.fit.needed_events import needed_events
 from ndob_fmu.log.fit.noise_fit import NoiseFit
 from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Setup
+from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
 

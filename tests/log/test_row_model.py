@@ -10,8 +10,8 @@ from ndob_fmu import Model
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
-from ndob_fmu.log.along import intensities
-from ndob_fmu.log.row_model import RowModel, calm_units
+from ndob_fmu.log.smooth.along import intensities
+from ndob_fmu.log.smooth.row_model import RowModel, calm_units
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.runtime.step.error_columns import joined

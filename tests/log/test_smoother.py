@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ndob_fmu.log.event_search import explained
-from ndob_fmu.log.events import Events, Jumps
-from ndob_fmu.log.jump_instants import mixed
-from ndob_fmu.log.linear_record import LinearRecord, Smoothed
-from ndob_fmu.log.smoother import backward, forward
-from ndob_fmu.log.whole_record import WholeRecord
+from ndob_fmu.log.smooth.event_search import explained
+from ndob_fmu.log.smooth.events import Events, Jumps
+from ndob_fmu.log.smooth.jump_instants import mixed
+from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
+from ndob_fmu.log.smooth.smoother import backward, forward
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from tests.helpers.batch_estimate import Batch
 
 SIZES = [(2, 1, 9), (3, 2, 12), (5, 2, 15), (4, 3, 20)]

@@ -17,12 +17,12 @@ from selenium.webdriver.support.ui import WebDriverWait
 from ndob_fmu.cli import main
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
-from ndob_fmu.log.linear_record import Smoothed
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.online import along
 from ndob_fmu.log.read_log import read_log
-from ndob_fmu.log.smooth_log import smooth
-from ndob_fmu.log.smoother import backward, forward
+from ndob_fmu.log.smooth.linear_record import Smoothed
+from ndob_fmu.log.smooth.smooth_log import smooth
+from ndob_fmu.log.smooth.smoother import backward, forward
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.log.tune.figures import disturbance_figure, residual_figure
 from ndob_fmu.log.tune.lagged import lagged_adjoint

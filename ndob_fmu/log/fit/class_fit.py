@@ -14,14 +14,14 @@ from math import inf
 
 import numpy as np
 
-from ndob_fmu.log.along import in_layout
-from ndob_fmu.log.events import Events, Explained, with_events
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
 from ndob_fmu.log.fit.parameter_step import Step
 from ndob_fmu.log.fit.problem import Linearised, Problem
-from ndob_fmu.log.linear_record import Smoothed
-from ndob_fmu.log.whole_record import WholeRecord
+from ndob_fmu.log.smooth.along import in_layout
+from ndob_fmu.log.smooth.events import Events, Explained, with_events
+from ndob_fmu.log.smooth.linear_record import Smoothed
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_ROUNDS = 12

@@ -16,10 +16,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ndob_fmu.log.events import Events, Jumps, with_outliers
-from ndob_fmu.log.linear_record import LinearRecord
-from ndob_fmu.log.pieces import CutRecord
-from ndob_fmu.log.smoother import forward
+from ndob_fmu.log.smooth.events import Events, Jumps, with_outliers
+from ndob_fmu.log.smooth.linear_record import LinearRecord
+from ndob_fmu.log.smooth.pieces import CutRecord
+from ndob_fmu.log.smooth.smoother import forward
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 

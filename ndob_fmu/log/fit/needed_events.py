@@ -20,8 +20,8 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.events import Events
 from ndob_fmu.log.fit.likelihood import Likelihood
+from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.runtime.arrays import Array
 
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ndob_fmu.log.event_search import explained
-from ndob_fmu.log.events import Events, Jumps
 from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood, scaled
-from ndob_fmu.log.linear_record import LinearRecord
-from ndob_fmu.log.pieces import CutRecord
+from ndob_fmu.log.smooth.event_search import explained
+from ndob_fmu.log.smooth.events import Events, Jumps
+from ndob_fmu.log.smooth.linear_record import LinearRecord
+from ndob_fmu.log.smooth.pieces import CutRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 

@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ndob_fmu.log.events import Events, Jumps
 from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood
 from ndob_fmu.log.fit.needed_events import needed_events
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
-from ndob_fmu.log.linear_record import Smoothed
-from ndob_fmu.log.pieces import CutRecord
-from ndob_fmu.log.smoother import backward, forward
+from ndob_fmu.log.smooth.events import Events, Jumps
+from ndob_fmu.log.smooth.linear_record import Smoothed
+from ndob_fmu.log.smooth.pieces import CutRecord
+from ndob_fmu.log.smooth.smoother import backward, forward
 from ndob_fmu.runtime.arrays import Array
 
 # Differences are taken over this part of a parameter's prior standard deviation.

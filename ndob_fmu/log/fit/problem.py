@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ndob_fmu.log.along import Samples, Start, record_along
-from ndob_fmu.log.events import Jumps
 from ndob_fmu.log.fit.noise_fit import EventSearch
-from ndob_fmu.log.linear_record import LinearRecord
-from ndob_fmu.log.pieces import CutRecord, parts_of, side_by_side
-from ndob_fmu.log.row_model import RowModel
+from ndob_fmu.log.smooth.along import Samples, Start, record_along
+from ndob_fmu.log.smooth.events import Jumps
+from ndob_fmu.log.smooth.linear_record import LinearRecord
+from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
+from ndob_fmu.log.smooth.row_model import RowModel
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 

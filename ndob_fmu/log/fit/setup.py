@@ -13,13 +13,13 @@ from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer
-from ndob_fmu.log.along import Samples, in_layout, unpacked_rows
 from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.log import Log
 from ndob_fmu.log.online import Online, Stretch
-from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smoothable import check_smoothed
+from ndob_fmu.log.smooth.along import Samples, in_layout, unpacked_rows
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.smoothable import check_smoothed
 from ndob_fmu.log.told_values import ignored
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array

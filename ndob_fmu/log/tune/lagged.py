@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ndob_fmu.log.c_library import c_library
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
-from ndob_fmu.log.smoother import closed_loops
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smooth.smoother import closed_loops
 from ndob_fmu.runtime.arrays import Array
 
 

@@ -16,20 +16,20 @@ import numpy as np
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
-from ndob_fmu.log.along import Samples, Start, in_layout, intensities, record_along
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
-from ndob_fmu.log.event_search import explained
-from ndob_fmu.log.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.first_block import first_block, run_along
-from ndob_fmu.log.jump_instants import mixed
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord, Smoothed
-from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.smooth_log import event_spacing, explained_stretch, noise_variance, variance_of_model
-from ndob_fmu.log.smoothable import check_smoothed
+from ndob_fmu.log.smooth.along import Samples, Start, in_layout, intensities, record_along
+from ndob_fmu.log.smooth.event_search import explained
+from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
+from ndob_fmu.log.smooth.jump_instants import mixed
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord, Smoothed
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.smooth_log import event_spacing, explained_stretch, noise_variance, variance_of_model
+from ndob_fmu.log.smooth.smoothable import check_smoothed
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.log.told_values import ignored, told_values
 from ndob_fmu.log.tune.lagged import lagged_adjoint
 from ndob_fmu.log.tune.settings import Settings, settings_of
-from ndob_fmu.log.whole_record import WholeRecord
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.filter_model import FilterModel

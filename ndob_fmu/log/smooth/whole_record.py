@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.c_library import c_library
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
-from ndob_fmu.log.smoother import backward, forward, lower_factor, through
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smooth.smoother import backward, forward, lower_factor, through
 from ndob_fmu.runtime.arrays import Array
 
 # A piece costs as much as so many steps of all.

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.c_library import FollowedEvents, c_library
-from ndob_fmu.log.closed_loop import closed_loop
-from ndob_fmu.log.events import Explained
+from ndob_fmu.log.smooth.c_library import FollowedEvents, c_library
+from ndob_fmu.log.smooth.closed_loop import closed_loop
+from ndob_fmu.log.smooth.events import Explained
 from ndob_fmu.runtime.arrays import Array
 
 # Rows that are taken at once, and the part of a variance that an event changes where it is forgotten. What a filter

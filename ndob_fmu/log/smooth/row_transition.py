@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ndob_fmu.log.c_library import c_library
-from ndob_fmu.log.smoother import lower_factor
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.smoother import lower_factor
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.numerics.transition import SERIES_WEIGHTS
 

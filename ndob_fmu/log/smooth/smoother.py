@@ -22,9 +22,9 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.c_library import c_library
-from ndob_fmu.log.closed_loop import ClosedLoop, closed_loop
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.closed_loop import ClosedLoop, closed_loop
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord
 from ndob_fmu.runtime.arrays import Array
 
 # Rows that the processor keeps near itself.

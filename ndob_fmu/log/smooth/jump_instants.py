@@ -13,8 +13,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ndob_fmu.log.closed_loop import closed_loop
-from ndob_fmu.log.events import AT_SAMPLE_COSTS, IN_STEP_COSTS, Explained, Jumps
+from ndob_fmu.log.smooth.closed_loop import closed_loop
+from ndob_fmu.log.smooth.events import AT_SAMPLE_COSTS, IN_STEP_COSTS, Explained, Jumps
 from ndob_fmu.runtime.arrays import Array
 
 # Beyond, the other kind is out of the question. Less of I − M may be a rounding error.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.codegen.row_functions import RowFunction, RowFunctions
-from ndob_fmu.log.row_transition import RowTransition, row_transition
-from ndob_fmu.log.smoother import lower_factor
+from ndob_fmu.log.smooth.row_transition import RowTransition, row_transition
+from ndob_fmu.log.smooth.smoother import lower_factor
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.step.filter_model import FilterModel

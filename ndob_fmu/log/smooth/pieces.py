@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
-from ndob_fmu.log.smoother import backward, forward
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smooth.smoother import backward, forward
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_PIECES = 48

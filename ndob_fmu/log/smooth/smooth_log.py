@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
-from ndob_fmu.log.along import Samples, Start, intensities, record_along, unpacked_rows
-from ndob_fmu.log.event_search import explained
-from ndob_fmu.log.events import Events, Explained, Jumps, with_events
-from ndob_fmu.log.jump_instants import mixed
-from ndob_fmu.log.linear_record import LinearRecord, Smoothed
-from ndob_fmu.log.misfit import is_followed, variance_of_misfit
 from ndob_fmu.log.online import Stretch
-from ndob_fmu.log.row_model import RowModel
-from ndob_fmu.log.whole_record import WholeRecord
+from ndob_fmu.log.smooth.along import Samples, Start, intensities, record_along, unpacked_rows
+from ndob_fmu.log.smooth.event_search import explained
+from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
+from ndob_fmu.log.smooth.jump_instants import mixed
+from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
+from ndob_fmu.log.smooth.misfit import is_followed, variance_of_misfit
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.adaptive_noise import in_use

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ndob_fmu.log.events import Events, Jumps, with_events
-from ndob_fmu.log.linear_record import Forward, LinearRecord
-from ndob_fmu.log.whole_record import WholeRecord
+from ndob_fmu.log.smooth.events import Events, Jumps, with_events
+from ndob_fmu.log.smooth.linear_record import Forward, LinearRecord
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations
 

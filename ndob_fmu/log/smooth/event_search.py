@@ -18,10 +18,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.c_library import c_library
-from ndob_fmu.log.event_effects import Source
-from ndob_fmu.log.event_scores import Event, EventScores, Known
-from ndob_fmu.log.events import (
+from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.event_effects import Source
+from ndob_fmu.log.smooth.event_scores import Event, EventScores, Known
+from ndob_fmu.log.smooth.events import (
     AT_SAMPLE_COSTS,
     IN_STEP_COSTS,
     OUTLIER,
@@ -32,7 +32,7 @@ from ndob_fmu.log.events import (
     Jumps,
     with_events,
 )
-from ndob_fmu.log.smoother import NEAR
+from ndob_fmu.log.smooth.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
 
 # Passes over a record, and rounds of changes between two of them. Made logs of three plants take up to 14 passes where

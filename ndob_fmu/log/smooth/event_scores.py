@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.event_effects import AlongRecord, Effect, Source
-from ndob_fmu.log.events import Explained
+from ndob_fmu.log.smooth.event_effects import AlongRecord, Effect, Source
+from ndob_fmu.log.smooth.events import Explained
 from ndob_fmu.runtime.arrays import Array
 
 # An instant and the output of an outlier, None for a jump.

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ndob_fmu.log.events import Jumps
-from ndob_fmu.log.linear_record import LinearRecord
-from ndob_fmu.log.row_model import NODE_WEIGHTS, RowModel
+from ndob_fmu.log.smooth.events import Jumps
+from ndob_fmu.log.smooth.linear_record import LinearRecord
+from ndob_fmu.log.smooth.row_model import NODE_WEIGHTS, RowModel
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.tuned import Tuned

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.errors import UsageError
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord
 from ndob_fmu.native.compile import PLATFORMS, binary, has_compiler, this_platform
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.temporary import temporary_folder

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.linear_record import Adjoint, Forward, LinearRecord
+from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord
 from ndob_fmu.runtime.arrays import Array
 
 # As online, a jump is expected every three hundredth sample, in seven of ten cases at a sample. An outlier is expected
