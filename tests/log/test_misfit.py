@@ -85,5 +85,6 @@ def test_a_warning_names_the_output_that_the_model_cannot_follow(found):
 
 def test_the_page_of_tune_counts_the_samples_in_the_same_way(log):
     bench = Workbench(TROLLEY, log, start_values={**TOLD, **WRONG})
+    assert any(line.startswith("place: the model cannot follow it") for line in bench.warnings)
     bench.find_jumps(bench.told)
     assert bench.shown(bench.told).outliers <= 2 * OUTLIERS

@@ -66,6 +66,8 @@ def test_who_begins_with_fit_or_tune_is_warned_as_by_estimate(tmp_path, warnings
     outputs = OUTPUTS * [1.0, 1000.0] + [50.0, 0.0]
     expected = warnings(outputs=outputs)
     path = write_log(tmp_path / "log.csv", TIME, INPUTS, outputs)
+    if command is fit:  # it asks what the model can follow with other parameters
+        expected = tuple(line for line in expected if "cannot follow it" not in line)
     assert command(CART, path, tmp_path / "other", TUNED)[: len(expected)] == expected
 
 

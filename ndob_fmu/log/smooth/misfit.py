@@ -36,6 +36,11 @@ def is_followed(run: Forward) -> bool:
     return bool(np.all(squared_sizes(run) <= _RIGHT))
 
 
+def misfit_std(variance: Array) -> Array:
+    """Return the standard deviations (p,) in the median, for variances (K,p) of the model's error."""
+    return np.asarray(np.sqrt(np.median(variance, axis=0)))
+
+
 def said_of_misfit(eq: Equations, std: Array) -> Iterator[str]:
     """Yield a line for each output that the model cannot follow, for the standard deviations (p,) of its error."""
     for name, size in zip(eq.outputs, std.tolist(), strict=True):

@@ -14,7 +14,7 @@ from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
-from ndob_fmu.log.smooth.misfit import is_followed, variance_of_misfit
+from ndob_fmu.log.smooth.misfit import is_followed, misfit_std, variance_of_misfit
 from ndob_fmu.log.smooth.row_model import RowModel
 from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
@@ -40,7 +40,7 @@ class SmoothedStretch:
 
     x, x_std (K,n), d, d_std (K,q2): states and disturbances with their error bars
     jumps, outliers: how many were found
-    misfit (p,): standard deviation of what the model's error adds to a sample, in the median
+    misfit (p,): `misfit_std` of what the model's error adds to the samples
     """
 
     x: Array
@@ -160,5 +160,5 @@ def smoothed_stretch(
         d_std=d_std,
         jumps=sum(k < rows for k in found.events.jumps),
         outliers=sum(k < rows for k, _ in found.events.outliers),
-        misfit=np.sqrt(np.median(variance_of_model(model, found, part), axis=0)),
+        misfit=misfit_std(variance_of_model(model, found, part)),
     )

@@ -23,6 +23,7 @@ from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord, Smoothed
+from ndob_fmu.log.smooth.misfit import misfit_std, said_of_misfit
 from ndob_fmu.log.smooth.row_model import RowModel
 from ndob_fmu.log.smooth.smooth_log import event_spacing, explained_stretch, noise_variance, variance_of_model
 from ndob_fmu.log.smooth.smoothable import check_smoothed
@@ -118,7 +119,7 @@ class Workbench:
         block = first_block(eq, path, names, units)
         begin(f"running the observer along {block.rows} rows of the log")
         run = run_along(model, observer, self._values, native, block.log)
-        self.stretch, self.warnings = run.stretch, run.warnings
+        self.stretch = run.stretch
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)
@@ -127,6 +128,7 @@ class Workbench:
         )
         self._layout, self._about, self._events = tuned.model.layout, about, found.events
         self._of_model = variance_of_model(tuned.model, found, self.stretch)
+        self.warnings = (*run.warnings, *said_of_misfit(eq, misfit_std(self._of_model)))
 
     @property
     def bound(self) -> list[float]:
