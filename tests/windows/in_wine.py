@@ -33,9 +33,9 @@ FOLDERS = ["plain", "a b", "ä", "x#y", "it's", "日本", "100%25", "[+],("]
 # gain, and the estimate by 1e-11 where samples are noisy. As it is delivered, for samples without noise, the observer
 # makes 1e-8 N·m of 1e-15 rad.
 EQUAL, EQUAL_FOR_ANOTHER_KERNEL, EQUAL_AT_HIGHEST_GAIN = 1e-11, 1e-10, 1e-8
-# `consistency` is made of residuals over their standard deviation. As it is delivered, that deviation is 1e-15 rad: the
-# last digit of the residual is 0.1 of it.
-EQUAL_CONSISTENCY_WITHOUT_NOISE = 1e-6
+# `consistency` is made of residuals over their standard deviation. As it is delivered, that deviation is 1e-15 rad, and
+# a fourth of it once 200 samples have shown that there is no noise: the last digit of the residual is 0.1 to 0.4 of it.
+EQUAL_CONSISTENCY_WITHOUT_NOISE = 1e-5
 # Native FMUs, with noise of the samples or without.
 NATIVE, NATIVE_AT_HIGHEST_GAIN = 1e-9, 1e-6
 SINE = {"disturbance.kind": 3, "disturbance.amplitude": 1.5, "disturbance.frequency": 0.8}
