@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_lyapunov
 
 from ndob_fmu.codegen.compile_model import compile_model, linear_part
 from ndob_fmu.errors import DesignError
@@ -245,6 +246,27 @@ def test_the_gain_is_not_frozen_before_the_samples_have_shown_the_noise(told):
     run = Run(observer_of(order=1, noise_std=told * 1e-4, bound=[2.0]), constant(), 2e-3, 2.0, sigma=1e-4, seed=2)
     assert run.state.memory.converged
     assert all(0.5 < told**2 * ratio < 2.0 for ratio in run.state.memory.frozen_noise)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("H", [1e-3, 5e-3])
+def test_a_gain_for_a_step_that_is_off_by_a_fifth_loses_less_than_a_hundredth(order, H):
+    """So a frozen gain serves steps that jitter; exact, by the covariance of the error with either gain."""
+    observer = observer_of(order=order, noise_std=1e-4)
+    frozen = observer.designs.at(H, H).stationary.K
+
+    def variance(design, K):
+        units, Phi = np.sqrt(np.diag(design.prior_factor @ design.prior_factor.T)), design.discrete.Phi
+        closed = Phi @ (np.eye(len(Phi)) - K @ design.system.C)
+        each = np.hstack([design.noise_factor, Phi @ K @ design.sample_factor]) / units[:, None]
+        P = solve_discrete_lyapunov(closed * units / units[:, None], each @ each.T)
+        seen = design.system.selector * units
+        return float((seen @ P @ seen.T)[0, 0])
+
+    for part in (0.8, 1.2):
+        design = observer.designs.at(part * H, H).stationary
+        own = variance(design, design.K)
+        assert own <= variance(design, frozen) < 1.01**2 * own
 
 
 def jittered(seed, part, count, H=2e-3):
