@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ctypes import byref, c_char_p, c_size_t, c_void_p
 from pathlib import Path
 from random import Random
 from time import process_time
@@ -18,6 +19,7 @@ from ndob_fmu.native.build import build_native
 from tests.fuzz.library import Library
 from tests.fuzz.walk import Walk
 from tests.helpers.checkers import findings
+from tests.helpers.fmi_instance import OK
 from tests.helpers.needs import FRONT
 
 pytestmark = FRONT
@@ -182,6 +184,29 @@ def test_a_state_goes_on_as_it_did_in_another_instance_and_from_bytes(built, nam
     fmu.setFMUState(state)
     assert [step(fmu, k) for k in range(50, 80)] == expected
     for each in (fmu, other):
+        each.freeInstance()
+
+
+def test_bytes_whose_settings_ask_for_a_warning_are_read_without_one(built):
+    """They are only tried then. The warning comes where the state is taken."""
+    library = Library(Path(fmpy.extract(str(built(JOINT)[3]))))
+    # Of two offsets a constant disturbance explains one.
+    offsets = [variable.reference for variable in library.variables if variable.name.endswith("_bias_std")]
+    warned, other = (
+        fmpy.instantiate_fmu(library.folder, fmpy.read_model_description(str(library.folder))) for _ in range(2)
+    )
+    warned.setReal(offsets, [0.01, 0.01])
+    for each in (warned, other):
+        each.setupExperiment(startTime=0.0)
+        each.enterInitializationMode()
+        each.exitInitializationMode()
+        each.doStep(0.0, 1e-3)
+    data, state = warned.serializeFMUState(warned.getFMUState()), c_void_p()
+    status = other.dll.fmi2DeSerializeFMUstate(
+        c_void_p(other.component), c_char_p(data), c_size_t(len(data)), byref(state)
+    )
+    assert status == OK
+    for each in (warned, other):
         each.freeInstance()
 
 

@@ -298,11 +298,11 @@ bool state_read(Instance *self, const char *function, const unsigned char bytes[
         if (!present) wrong = "no memory";
         if (present) {
             save(self, present);
-            Function *logger = self->log.logger;
-            self->log.logger = NULL; /* one message says that the bytes are no state, not why a core refuses them */
+            Log log = self->log;
+            self->log.logger = NULL; /* what the core says of a state that is only tried is nothing that happened */
             if (!adopt(self, saved, true)) wrong = "a state that no instance can have";
-            self->log.logger = logger;
             adopt(self, present, false);
+            self->log = log;
             free(present);
         }
     }
