@@ -56,7 +56,12 @@ def explained(record: Filtered, columns: Jumps, spacing: int, first: int, known:
     first: instants of the start, which have no jump
     known: events to begin with
     """
-    found, taken = with_events(record, columns, known or Events()), Counter[Event]()
+    return explained_from(with_events(record, columns, known or Events()), record, columns, spacing, first)
+
+
+def explained_from(found: Explained, record: Filtered, columns: Jumps, spacing: int, first: int) -> Explained:
+    """Do the same where the record with the events to begin with is filtered already."""
+    taken = Counter[Event]()
     for _ in range(_MOST_PASSES):
         search = Search(found, columns, spacing, first, taken)
         search.run()

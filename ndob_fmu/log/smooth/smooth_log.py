@@ -10,7 +10,7 @@ import numpy as np
 from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.online import Stretch
 from ndob_fmu.log.smooth.along import Samples, Start, intensities, record_along, unpacked_rows
-from ndob_fmu.log.smooth.event_search import explained
+from ndob_fmu.log.smooth.event_search import explained_from
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
@@ -112,10 +112,13 @@ def explained_stretch(
 
     def linearised(trajectory: Array, events: Events) -> tuple[Explained, Jumps]:
         record, columns = record_of(trajectory)
-        if not is_followed(with_events(WholeRecord(record), columns, events).forward):
+        whole = WholeRecord(record)
+        found = with_events(whole, columns, events)
+        if not is_followed(found.forward):
             more = variance_of_misfit(record_of(trajectory, _FREE**2)[0], columns, events)
-            record = replace(record, variance=record.variance + more)
-        return explained(WholeRecord(record), columns, spacing, started, events), columns
+            whole = WholeRecord(replace(record, variance=record.variance + more))
+            found = with_events(whole, columns, events)
+        return explained_from(found, whole, columns, spacing, started), columns
 
     def smoothed(trajectory: Array, events: Events) -> tuple[Array, Events]:
         found, _ = linearised(trajectory, events)
