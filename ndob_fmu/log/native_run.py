@@ -17,8 +17,11 @@ from ndob_fmu.log.online import Online, parts_of_steps, sampled
 from ndob_fmu.model.model import Model
 from ndob_fmu.native.many_steps import NativeObserver, native_observer
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.design.intensity_law import IntensityLaw
+from ndob_fmu.runtime.design.stationary_design import Intensities
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.step.observer import Observer
+from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 
 # Steps whose results are in memory at once, but for those over one gap.
 _AT_ONCE = 20_000
@@ -32,7 +35,7 @@ class NativeRun:
     """Takes the steps of an observer by its native twin, which has the same parameters: `online.Run`."""
 
     def __init__(self, observer: Observer[Any], x_hat: Vector, native: NativeObserver) -> None:
-        self._native, first = native, sampled(observer.init(x_hat))
+        self._native, self._observer, first = native, observer, sampled(observer.init(x_hat))
         places = _numbered(first, count())
         sensors = places.memory.sensors
         self._tuned_at, self._is_tuned = places.memory.tuned_at, False
@@ -55,10 +58,28 @@ class NativeRun:
             inputs = np.column_stack([log.inputs[each], np.full((len(each), log.outputs.shape[1]), np.nan)])
             inputs[begins, log.inputs.shape[1] :] = log.outputs[rows]
             outputs, numbers = self._native.steps((step / parts)[each], inputs, self._read, given)
+            if not self._is_tuned:
+                self._share_tuning(usual)
             self._is_tuned = True
             said.append(outputs[begins])
             after.append(numbers[ends - 1])
         return self._online(np.concatenate(said), np.concatenate(after), np.isnan(log.outputs))
+
+    def _share_tuning(self, usual: float) -> None:
+        """Give the observer in Python the tuning of its native twin, which the smoother needs."""
+        H, *others = self._native.tuning() or [0.0]
+        if usual != H or not isinstance(self._observer, SampledObserver):
+            return
+        q, numbers = self._observer.layout.q, np.array(others[1:])
+        of_d, of_f, (scale,), law, limit, (law_at, exponent, limit_exponent) = np.split(
+            numbers, [q, len(numbers) - 4 - 2 * q, len(numbers) - 3 - 2 * q, len(numbers) - 3 - q, len(numbers) - 3]
+        )
+        self._observer.take_tuning(
+            H,
+            Intensities(of_d, of_f, float(scale)),
+            IntensityLaw(law, limit, float(law_at), float(exponent), float(limit_exponent)),
+            freezes=bool(others[0]),
+        )
 
     def _online(self, outputs: Array, after: Array, missing: Array) -> Online:
         """Return it from the outputs of the FMU (K,·) and the numbers of its state behind each step (K,·)."""

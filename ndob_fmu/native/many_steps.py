@@ -27,6 +27,7 @@ from ndob_fmu.support.temporary import temporary_folder
 _CO_SIMULATION, _WARNING = 1, 1
 # A call cannot be interrupted; these take some tenths of a second at most.
 _ROWS_OF_A_CALL = 2000
+_MOST_OF_TUNING = 1000
 _Logger = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _SETTERS: Mapping[str, tuple[str, Any]] = {
     "Real": ("fmi2SetReal", ctypes.c_double * 1),
@@ -68,7 +69,7 @@ class NativeObserver:
         self._said: list[str] = []
         self._library = ctypes.CDLL(str(library))
         self._library.fmi2Instantiate.restype = ctypes.c_void_p
-        self._library.ndobManySteps.restype = ctypes.c_size_t
+        self._library.ndobManySteps.restype = self._library.ndobTuning.restype = ctypes.c_size_t
         # The library keeps the address.
         self._callbacks = _Callbacks(_Logger(self._log), None, None, None, None)
         component = self._library.fmi2Instantiate(
@@ -125,6 +126,11 @@ class NativeObserver:
             if self._library.ndobManySteps(self._component, ctypes.byref(steps)) < wanted:
                 raise IntegrationError(self._said[-1] if self._said else "the observer refuses a step")
         return found[:, : self._outputs], found[:, self._outputs :]
+
+    def tuning(self) -> list[float]:
+        """Return what the last step was tuned to, as `tuning` in component/observer.c writes it; empty for nothing."""
+        numbers = (ctypes.c_double * _MOST_OF_TUNING)()
+        return numbers[: self._library.ndobTuning(self._component, numbers, ctypes.c_size_t(_MOST_OF_TUNING))]
 
     def end(self) -> None:
         """Free the instance."""

@@ -70,6 +70,8 @@ _PER_DISTURBANCE = {
 # Bytes that design and steps compute in, for each number that the FMU counts. Where they are too few, it takes more.
 _MEMORY_OF_A_NUMBER = 88
 _COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep")
+# What a log wants to know of the tuning.
+_OF_TUNING = ("Intensities", "IntensityLaw")
 # Functions of a step that leave their memory in use: the caller gives all of it back after it has written the state.
 _UNMOVED = (f"{_STEP}.sampled_step.step_by_definition", f"{_STEP}.tracking_step.step_with_covariance")
 _PRINTED = (
@@ -98,7 +100,7 @@ def sampled_observer_text(model: Model) -> list[str]:
 
 
 def _runtime(wanted: Mapping[str, Sequence[str]], copied: Sequence[str]) -> list[str]:
-    return runtime_texts(wanted, copied=copied, stored=("SampledObserverState",), unmoved=_UNMOVED)
+    return runtime_texts(wanted, copied=copied, stored=("SampledObserverState", *_OF_TUNING), unmoved=_UNMOVED)
 
 
 def _own_texts(model: Model, eq: Equations) -> list[str]:
@@ -118,7 +120,8 @@ def observer_code(model: Model) -> ComponentCode:
     around = [part("paper.c"), *own, part("shared.c"), part("call.c"), *reading, part("observer.c")]
     texts = [*_own_texts(model, eq), *short(*around)]
     runtime = _runtime({**_TRANSLATED, **_AROUND, **paper.TRANSLATED}, (*_COPIED, *paper.COPIED))
-    return ComponentCode(joined([*runtime, *texts], "start show step possible end"), has_end=True, sizes_state=True)
+    whole = joined([*runtime, *texts], "start show step possible end tuning")
+    return ComponentCode(whole, has_end=True, sizes_state=True)
 
 
 def _sizes(model: Model, eq: Equations) -> str:

@@ -52,7 +52,7 @@ class ComponentCode:
     text: definitions of the functions `start`, `show`, `step` and `possible`, of the types `Core` and `State`, and of
         all that these use
     has_end: whether there is a function `end` too
-    sizes_state: whether `start` takes the memory of the state
+    sizes_state: whether `start` takes the memory of the state; then there is a function `tuning` too
     """
 
     text: str
@@ -70,7 +70,7 @@ def sources(name: str, token: str, variables: Sequence[Variable], code: Componen
     names = ("start", "show", "step", "possible", *(("end",) if code.has_end else ()))
     beginning, seldom = _BEGINNING.format(name=name), _SELDOM
     if code.sizes_state:
-        members += ", .sizes_state = true"
+        members += ", .sizes_state = true, .tuning = tuning"
         beginning += "#define SIZES_STATE\n"
         seldom += ("state_memory.c",)
     functions = ", ".join(f".{function} = {function}" for function in names)

@@ -83,6 +83,24 @@ def test_the_native_observer_says_of_a_rough_log_what_the_one_in_python_says(fmu
         np.testing.assert_array_equal(native.online.refused, python.online.refused)
 
 
+@pytest.mark.parametrize(
+    "told", [TUNED, {"disturbance_order": 2, "disturbance_rate": 5.0}, {"disturbance_rate": 0.0}], ids=str
+)
+def test_the_smoother_takes_the_tuning_of_the_native_observer_and_makes_none(fmus, rough, told, monkeypatch):
+    values = told_values(EQUATIONS, told)
+    observer, python = (told_observer(EQUATIONS, values.__getitem__, print) for _ in range(2))
+    with native_run(CART, fmus, values, observer, X_HAT, 700) as run:
+        usual = next(along(observer, X_HAT, blocks(rough), run)).usual
+    expected = python.tuned(usual)
+    monkeypatch.setattr("ndob_fmu.runtime.step.sampled_observer.tune", None)
+    found = observer.tuned(usual)
+    assert (found.freezes, found.model.scale) == (expected.freezes, pytest.approx(expected.model.scale, rel=1e-9))
+    assert found.model.jump_spacing == pytest.approx(expected.model.jump_spacing, rel=1e-9)
+    for H, noise in ((usual, [1.0, 1.0]), (1.5 * usual, [1.0, 1.0]), (usual, [4.0, 9.0])):
+        np.testing.assert_allclose(found.intensity(H, noise), expected.intensity(H, noise), rtol=1e-9)
+    np.testing.assert_allclose(found.intensities.f, expected.intensities.f, rtol=1e-9)
+
+
 def test_the_command_takes_the_native_observer_of_the_model_by_itself_and_says_so(tmp_path, monkeypatch, capsys, fmus):
     monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *_, **__: None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -427,6 +427,23 @@ static bool step(const Call *call, double time, double step_size) {
     return true;
 }
 
+/* Write what the last step was tuned to, where there is room, and return how many numbers that are: the step size, whether
+ * the gain may be frozen, the intensities and their law. None without a law. */
+static size_t tuning(const Call *call, double *numbers, size_t room) {
+    const Core *core = call->core;
+    const Sampled *self = &core->of.observer;
+    if (core->is_paper || !self->of_tuned.some || !self->tuned.law.some) return 0;
+    const Intensities *found = &self->tuned.intensities;
+    const IntensityLaw *law = &self->tuned.law.value;
+    size_t arrays = nd_len(found->disturbance) + nd_len(found->f) + nd_len(law->disturbance) + nd_len(law->limit);
+    if (arrays + 6 > room) return 0;
+    double *end = numbers;
+    *end++ = self->tuned.H;
+    *end++ = self->tuned.freezes;
+    end = write_IntensityLaw(write_Intensities(end, found), law);
+    return (size_t)(end - numbers);
+}
+
 static bool possible(const Call *call, double begin, double now) {
     Core *core = call->core;
     State *state = call->state;

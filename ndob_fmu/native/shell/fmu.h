@@ -57,6 +57,7 @@ typedef struct {
     bool (*show)(const Call *call); /* the outputs at the start, for the inputs set so far */
     bool (*step)(const Call *call, double time, double step_size);
     bool (*possible)(const Call *call, double begin, double now); /* whether the core can be in this state */
+    size_t (*tuning)(const Call *call, double *numbers, size_t room); /* for many_steps.c; NULL where none is tuned */
     void (*end)(void *core); /* release what the core has taken besides its memory; NULL where that is nothing */
 } Fmu;
 

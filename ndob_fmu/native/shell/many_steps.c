@@ -1,5 +1,5 @@
-/* Many steps of a component in one call: for a log, which `ndob-fmu estimate` has whole. It is no function of FMI, and
- * takes the steps as they are, without FMI's rules for their times. */
+/* Many steps of a component in one call, and what it is tuned to: for a log, which `ndob-fmu estimate` has whole. These are
+ * no functions of FMI, and take the steps as they are, without FMI's rules for their times. */
 #include "shell.h"
 
 #include "fmi2Functions.h"
@@ -49,4 +49,17 @@ size_t fmi2FullName(ndobManySteps)(fmi2Component component, const ndobSteps *ste
     }
     (void)leave(self, OK, host);
     return k;
+}
+
+/* Write the numbers of the component's tuning and return how many there are; 0 where there is none, or too little room. */
+FMI2_Export size_t fmi2FullName(ndobTuning)(fmi2Component component, double numbers[], size_t room);
+
+size_t fmi2FullName(ndobTuning)(fmi2Component component, double numbers[], size_t room) {
+    Environment host;
+    Instance *self = enter(component, "ndobTuning", MODES_OF_fmi2DoStep, &host);
+    if (!self) return 0;
+    Call call = call_of(self);
+    size_t count = fmu.tuning(&call, numbers, room);
+    (void)leave(self, OK, host);
+    return count;
 }

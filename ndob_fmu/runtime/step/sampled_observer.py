@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from ndob_fmu.runtime.design.intensity_law import IntensityLaw
+from ndob_fmu.runtime.design.stationary_design import Intensities
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.memo import LatestResult
@@ -29,7 +31,7 @@ from ndob_fmu.runtime.step.sampled_step import (
     step_to_tune_for,
 )
 from ndob_fmu.runtime.step.settings import ObserverSettings, check_settings
-from ndob_fmu.runtime.step.tuned import Tuned, tune
+from ndob_fmu.runtime.step.tuned import Tuned, tune, tuned_to
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,10 @@ class SampledObserver(PreparedObserver):
     def tuned(self, H: float) -> Tuned:
         """Return what is tuned for steps about H (s). Raises DesignError where there is no tuning."""
         return self._tuned((H,), lambda: tune(self, H))
+
+    def take_tuning(self, H: float, intensities: Intensities, law: IntensityLaw, *, freezes: bool) -> None:
+        """Take the tuning for steps about H (s) from an observer with the same parameters: it takes time to find."""
+        self._tuned((H,), lambda: tuned_to(self, H, intensities, law, freezes=freezes))
 
     def _prepared(self, H: float, tuned_at: float, noise: tuple[float, ...]) -> ConvergedStep | None:
         return converged_step(self.tuned(tuned_at).model, self.designs.at(H, tuned_at, noise), tuned_at, noise)

@@ -75,14 +75,15 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
         freezes = f_as_noise.error <= _AS_GOOD**2 * error and f_as_noise.error < np.inf
         if freezes:
             intensities = f_as_noise.intensities
+    return tuned_to(observer, H, intensities, designs.law(H, searched), freezes=freezes)
+
+
+def tuned_to(
+    observer: PreparedObserver, H: float, intensities: Intensities, law: IntensityLaw, *, freezes: bool
+) -> Tuned:
+    """Return what is tuned for steps about H (s) where the intensities and their law are known; for r ≥ 1."""
     bandwidth = bandwidth_of(observer.tracking.system, H, float(intensities.disturbance[0]), observer.known)
-    return Tuned(
-        H,
-        filter_model(observer, intensities.scale, 0.25 / bandwidth),
-        intensities,
-        designs.law(H, searched),
-        freezes=freezes,
-    )
+    return Tuned(H, filter_model(observer, intensities.scale, 0.25 / bandwidth), intensities, law, freezes=freezes)
 
 
 class _Judged(NamedTuple):
