@@ -72,7 +72,7 @@ class ObserverSlave(Slave):
 
     def possible(self, state: Any, begin: float, now: float) -> bool:
         """Whether the observer can be in such a state."""
-        return self.observer.possible(state, now - begin)
+        return self.observer.possible(state)
 
     def show(self) -> Sequence[Any]:
         """Return the estimate that the first sample alone gives."""

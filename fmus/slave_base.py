@@ -104,8 +104,12 @@ class Slave(RememberingSlave):
         if not continues:
             rounding = clock.added_rounding(end)
             if step_size <= rounding:
-                clock.now = end
+                clock.now = max(clock.now, end)
                 return True
+            fault = clock.end_fault(end)
+            if fault:
+                self.say(fault, Fmi2Status.discard)
+                return False
             step_size = clock.settled(step_size, end, rounding)
         before = self.state
         try:

@@ -36,7 +36,7 @@ class Clock:
 
     def continues(self, time: float, step_size: float) -> bool:
         """Whether a step follows the last one exactly and is as long, as nearly all steps do."""
-        return time == self.now and 0.0 < step_size == self.step_size and time + step_size > time
+        return time == self.now and 0.0 < step_size == self.step_size and time < time + step_size < inf
 
     def step_fault(self, time: float, step_size: float) -> NdobError | None:
         """Return what is wrong with a step that begins at `time`."""
@@ -49,6 +49,13 @@ class Clock:
             return None
         received = f"{step_size!r} s, which is lost in rounding at {time!r} s"
         return NdobError.report("communication step", expected="one that moves the time", received=received)
+
+    def end_fault(self, end: float) -> NdobError | None:
+        """Return what is wrong with a step that goes on to `end`, if the last one has gone as far."""
+        if self.now < end < inf:
+            return None
+        expected = f"a finite time after {self.now!r} s, where the last one ended"
+        return NdobError.report("end of the step", expected=expected, received=f"{end!r} s")
 
     def stop_fault(self, end: float, step_size: float) -> NdobError | None:
         """Return what is wrong with a step that goes on to `end`, if that is after the stop time."""

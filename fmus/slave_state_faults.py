@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from math import inf, isfinite, ulp
+from math import isfinite, ulp
 from typing import Any
 
 import numpy as np
@@ -70,8 +70,8 @@ def _times_fault(s: Snapshot) -> NdobError | None:
     if fault:
         return fault
     passed = s.time - s.start_time
-    longest = (1.0 + TIME_TOLERANCE) * passed + 8.0 * ulp(max(abs(s.time), abs(s.start_time)))
-    if passed < 0.0 or not passed < inf or not 0.0 <= s.step_size <= longest:
+    longest = passed / (1.0 - TIME_TOLERANCE) + 8.0 * ulp(max(abs(s.time), abs(s.start_time)))
+    if passed < 0.0 or not 0.0 <= s.step_size <= longest:
         return _fault("a step within the time since the start")
     return None
 

@@ -83,7 +83,7 @@ def _sampled(model, *, steps=101, **settings) -> None:
             y[0] = np.nan
         observer.estimate(state, tuple(y))
         state, _ = observer.step(state, u, y.tolist(), h)
-        observer.possible(state, (k + 1) * h)
+        observer.possible(state)
         if model is not STIFF:
             x = (np.array(x) + h * np.array(eq.derivatives(x, u, d.tolist(), p))).tolist()
 
@@ -117,7 +117,7 @@ def _paper() -> None:
     for k in range(60):
         y = [1.0 + 0.1 * np.sin(k * _H), np.nan if k == 20 else 1.0]
         state, _ = observer.step(state, (0.1,), y, _H * (1.0 + 0.3 * (k % 3)))
-        observer.possible(state, state.elapsed)
+        observer.possible(state)
 
 
 def _numerics() -> None:

@@ -17,6 +17,7 @@ from ndob_fmu.runtime.blocks.disturbance_source import SOURCE_KINDS
 from tests.fuzz.library import Library
 from tests.fuzz.walk import Walk
 from tests.helpers.checkers import findings
+from tests.helpers.fmi_instance import ERROR, unpacked
 from tests.helpers.needs import FRONT
 
 pytestmark = FRONT
@@ -127,6 +128,21 @@ def test_a_profile_that_is_not_there_is_refused(native, tmp_path, name):
     status, (said,) = answer(native("DisturbanceSource"), tmp_path / name if name != "" else "")
     assert status == 3
     assert "expected the path of a CSV file" in said
+
+
+def test_an_instance_stays_in_its_state_where_the_profile_of_another_is_gone(native, tmp_path):
+    path = tmp_path / "profile.csv"
+    path.write_text("0,1\n1,2\n")
+    with unpacked(native("DisturbanceSource")) as instance:
+        with_profile, constant = instance("one"), instance("other")
+        with_profile.begin(**{"disturbance.kind": SOURCE_KINDS["profile"], "disturbance.profile": str(path)})
+        constant.begin(**{"disturbance.kind": SOURCE_KINDS["constant"], "disturbance.amplitude": 3.0})
+        state = with_profile.state()
+        path.unlink()
+        assert constant.setFMUState(state) == ERROR
+        assert constant.step(0.0, 0.5)["disturbance"] == 3.0
+        # The one with the profile still has its rows.
+        assert with_profile.step(0.0, 0.5)["disturbance"] == 1.5
 
 
 def test_a_delay_of_more_steps_than_are_kept_is_said(native):

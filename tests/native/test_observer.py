@@ -19,7 +19,7 @@ from ndob_fmu.native.build import build_native
 from tests.fuzz.library import Library
 from tests.fuzz.walk import Walk
 from tests.helpers.checkers import findings
-from tests.helpers.fmi_instance import OK
+from tests.helpers.fmi_instance import DISCARD, OK, opened
 from tests.helpers.needs import FRONT
 
 pytestmark = FRONT
@@ -210,6 +210,62 @@ def test_bytes_whose_settings_ask_for_a_warning_are_read_without_one(built):
         each.freeInstance()
 
 
+def own_bytes_taken(instance):
+    """Return the statuses of reading the bytes of an instance's state, and of taking the state over."""
+    status, state = instance.from_bytes(instance.bytes_of(instance.state()))
+    return status, instance.setFMUState(state)
+
+
+# Times and lengths of steps (s), and the first angle in each.
+ODD_RUNS = {
+    "a first step that begins a thousandth early": ({}, [(-1e-6, 1e-3, 1.0)]),
+    "steps that begin half a thousandth late": (
+        {"method": 1, "pi_end": 1e6, "pi_ramp_time": 0.02},
+        [(1.0005e-3 * k, 1e-3, 1.0) for k in range(40)],
+    ),
+    "a change of the smallest number": ({}, [(1e-3 * k, 1e-3, y) for k, y in enumerate([5e-324, 0.0, 0.5, 0.5])]),
+    "a number whose square is infinite": (
+        {"disturbance_order": 0},
+        [(1e-3 * k, 1e-3, y) for k, y in enumerate([1.0, 1.0, 1e200, -1e300, 1.0])],
+    ),
+}
+
+
+@pytest.mark.parametrize("target", ["python", "native"])
+@pytest.mark.parametrize("case", ODD_RUNS)
+def test_what_an_instance_remembers_comes_back_from_its_bytes_after_odd_steps_and_samples(built, case, target):
+    settings, steps = ODD_RUNS[case]
+    with opened(built(JOINT)[1 if target == "python" else 3]) as instance:
+        instance.begin(**settings)
+        for t, H, angle in steps:
+            instance.step(t, H, motor_angle=angle, link_angle=1.0)
+            assert own_bytes_taken(instance) == (OK, OK), instance.said
+
+
+@pytest.mark.parametrize("target", ["python", "native"])
+def test_a_number_whose_square_is_infinite_counts_as_not_measured(built, target):
+    shown = []
+    for odd in (1e200, np.nan):
+        with opened(built(JOINT)[1 if target == "python" else 3]) as instance:
+            instance.begin()
+            shown.append(
+                [instance.step(1e-3 * k, 1e-3, motor_angle=odd if k == 20 else 1.0, link_angle=1.0) for k in range(40)]
+            )
+    assert shown[0] == shown[1]
+
+
+@pytest.mark.parametrize("target", ["python", "native"])
+def test_a_step_that_does_not_go_further_than_the_last_one_is_discarded(built, target):
+    """It may begin before the end of the last one, by a thousandth of that."""
+    with opened(built(JOINT)[1 if target == "python" else 3]) as instance:
+        instance.begin()
+        instance.step(0.0, 1e-2, motor_angle=1.0, link_angle=1.0)
+        assert instance.doStep(1e-2 - 1e-5, 5e-6) == DISCARD
+        assert instance.said == [
+            "end of the step: expected a finite time after 0.01 s, where the last one ended, received 0.009995 s"
+        ]
+
+
 def test_a_saved_state_is_no_larger_than_its_settings_ask_for(built):
     library = Library(Path(fmpy.extract(str(built(JOINT)[3]))))
     lag = next(variable.reference for variable in library.variables if variable.name == "lag")
@@ -240,6 +296,7 @@ REFUSED = [
     (JOINT, {"disturbance_order": 0, "disturbance_nominal": 0.5}, "and 0 with disturbance_order 0, received 0.5"),
     (ARM, {"method": 1}, "the paper's form of"),
     (TOOL, {"disturbance_nominal": 0.5}, "expected 0 with a channel, received 0.5"),
+    (JOINT, {"disturbance_order": 3, "disturbance_bound": 1e-320}, "that are finite, received 9.99989e-321 and"),
 ]
 
 

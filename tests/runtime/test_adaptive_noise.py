@@ -50,3 +50,7 @@ def test_samples_in_a_row_tell_as_much_of_a_rounding_error_as_one():
 
 def test_a_change_far_below_the_step_is_the_next_candidate():
     assert common_step(1e-3, 4.0, 1e-12, repeats=False) == (1e-12, 0.0)
+
+
+def test_a_step_that_vanishes_beside_a_change_is_none():
+    assert common_step(5e-324, 4.0, 0.5, repeats=False) == (0.5, 0.0)

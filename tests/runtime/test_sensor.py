@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.encoder import Encoder
 from ndob_fmu.runtime.blocks.sampled_measurement import SampledState, Sampling
 from ndob_fmu.runtime.blocks.sensor import Sensor
@@ -240,3 +241,9 @@ def test_every_state_it_comes_to_is_possible_and_others_are_not():
     assert not device.possible(changed(values=state.values[1:]), t)
     assert not device.possible(changed(index=-1.0), t)
     assert not device.possible(changed(index=0.5), t)
+
+
+def test_a_sample_time_of_more_samples_than_can_be_counted_is_refused():
+    device = sensor(sample_time=1e-300)
+    with pytest.raises(IntegrationError, match="sample_time: expected at least 1"):
+        device.step(device.init(1.0, 0.0), 1.0, H, H)

@@ -447,8 +447,10 @@ static size_t tuning(const Call *call, double *numbers, size_t room) {
 static bool possible(const Call *call, double begin, double now) {
     Core *core = call->core;
     State *state = call->state;
+    (void)begin;
+    (void)now;
     if (!finite_numbers(state->numbers + core->count, numbers_used(core) - core->count)) return false;
     if (state->count != (double)numbers_used(core)) return false;
-    return core->is_paper ? paper_possible(&core->of.paper, state->numbers, now - begin)
+    return core->is_paper ? paper_possible(&core->of.paper, state->numbers)
                           : sampled_possible(&core->of.observer, state->numbers);
 }

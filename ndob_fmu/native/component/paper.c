@@ -117,13 +117,13 @@ int paper_show(Paper *self, const double *state, nd y, double *outputs) {
     return self->scratch.error;
 }
 
-/* Whether numbers can be a state, `elapsed` s after the start. */
-bool paper_possible(Paper *self, const double *state, double elapsed) {
+/* Whether numbers can be a state. */
+bool paper_possible(Paper *self, const double *state) {
     PaperSizes s = paper_sizes(self);
     if (setjmp(self->full)) return false;
     self->scratch.used = 0;
     self->scratch.error = ND_NONE;
     PaperObserverState given = paper_state(self, state);
     return nd_len(given.history.ages) == state[s.n + 1]
-           && PaperObserver_possible(&self->scratch, &self->observer, &given, elapsed);
+           && PaperObserver_possible(&self->scratch, &self->observer, &given);
 }

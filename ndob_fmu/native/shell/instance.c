@@ -6,9 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* A step begins where the last one ended, within this part of a step: hosts add up steps, or round them. */
-#define TIME_TOLERANCE 1e-3
-
 /* -- memory */
 
 typedef struct {
@@ -279,7 +276,7 @@ Status do_step(Instance *self, double time, double step_size) {
     Progress *progress = &self->progress;
     Clock *clock = &progress->clock;
     double end = time + step_size;
-    bool continues = time == clock->now && step_size > 0.0 && step_size == clock->step_size && end > time;
+    bool continues = time == clock->now && step_size > 0.0 && step_size == clock->step_size && end > time && end < HUGE_VAL;
     if (!continues && !may_begin(self, clock, time, step_size)) return DISCARD;
     if (progress->has_stop && !(end <= clock->stop + tolerance(step_size, clock->stop))) {
         say_time(self, ERROR, "end of the step", "at most the stop time ", clock->stop, " s", end, "", 0.0, true);
@@ -288,8 +285,14 @@ Status do_step(Instance *self, double time, double step_size) {
     if (!continues) {
         double rounding = added_rounding(clock, end), last = clock->step_size;
         if (step_size <= rounding) {
-            clock->now = progress->last_time = end;
+            progress->last_time = end;
+            clock->now = fmax(clock->now, end);
             return OK;
+        }
+        if (!(end > clock->now && end < HUGE_VAL)) {
+            say_time(self, DISCARD, "end of the step", "a finite time after ", clock->now, " s, where the last one ended",
+                     end, "", 0.0, false);
+            return DISCARD;
         }
         /* A step that is the difference of two rounded times varies in its last bits. */
         if (last != 0.0 && fabs(step_size - last) <= fmax(2.0 * ulp(end), rounding)) step_size = last;

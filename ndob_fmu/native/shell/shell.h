@@ -62,6 +62,9 @@ static void environment_leave(Environment host);
 
 /* -- instance.c: what both versions of FMI ask for */
 
+/* A step begins where the last one ended, within this part of a step: hosts add up steps, or round them. */
+#define TIME_TOLERANCE 1e-3
+
 static void own_token(char token[TOKEN_SIZE]);
 
 typedef struct {

@@ -78,11 +78,17 @@ static void save(const Instance *self, Saved *saved) {
     memcpy(to.state, self->state, saved->state_size);
 }
 
+static bool needs_another_core(const Instance *self, Saved *saved) {
+    Parts from = parts_of(saved);
+    return saved->progress.made
+           && !has_started_with(self, from.started_with, (const char(*)[TEXT_SIZE])from.started_with_texts);
+}
+
 /* Take over a saved state, or return false: its parameters may allow no core, or that core no such state. */
 static bool adopt(Instance *self, Saved *saved, bool check) {
     Parts from = parts_of(saved);
     bool made = saved->progress.made;
-    if (made && !has_started_with(self, from.started_with, (const char(*)[TEXT_SIZE])from.started_with_texts)) {
+    if (needs_another_core(self, saved)) {
         for (uint32_t i = 0; i < fmu.parameter_count; i++) self->values[fmu.parameters[i]] = from.started_with[i];
         memcpy(self->texts, from.started_with_texts, texts_size());
         if (!remake(self, saved->progress.clock.start)) return false;
@@ -97,6 +103,23 @@ static bool adopt(Instance *self, Saved *saved, bool check) {
     if (before > now) memset((char *)self->state + now, 0, before - now);
     Call call = call_of(self);
     return !check || fmu.possible(&call, self->progress.clock.start, self->progress.clock.now);
+}
+
+/* Go back to the state before another one was tried. An instance that finds no core for it any more is reset. */
+static void go_back(Instance *self, Saved *before) {
+    if (!adopt(self, before, false)) reset(self);
+}
+
+/* Take over a saved state, or return false and stay in the present one. */
+static bool adopt_or_stay(Instance *self, const char *function, Saved *saved) {
+    if (!needs_another_core(self, saved)) return adopt(self, saved, false);
+    Saved *present = new_saved(self, function);
+    if (!present) return false;
+    save(self, present);
+    bool done = adopt(self, saved, false);
+    if (!done) go_back(self, present);
+    free(present);
+    return done;
 }
 
 /* Return the state behind a handle, in use until it is left; NULL, with a message, if the handle is invalid. */
@@ -139,7 +162,7 @@ bool state_get(Instance *self, const char *function, void **handle) {
 
 bool state_set(Instance *self, const char *function, void *handle) {
     Saved *saved = taken(self, function, handle);
-    bool done = saved && adopt(self, saved, false);
+    bool done = saved && adopt_or_stay(self, function, saved);
     if (saved) handle_leave(STATE_HANDLES, handle);
     return done;
 }
@@ -215,10 +238,10 @@ static bool times_fault(const Progress *progress) {
     if (!finite_number(clock->start) || !finite_number(clock->now) || !finite_number(clock->step_size)) return true;
     if (!finite_number(progress->last_time) || not_a_number(clock->stop)) return true;
     double passed = clock->now - clock->start, size = fmax(fabs(clock->now), fabs(clock->start));
-    double longest = (1.0 + 1e-3) * passed + 8.0 * (nextafter(size, HUGE_VAL) - size);
-    bool late = progress->has_stop && !(clock->now <= clock->stop + 1e-3 * clock->step_size + 1e-12 * size);
+    double longest = passed / (1.0 - TIME_TOLERANCE) + 8.0 * (nextafter(size, HUGE_VAL) - size);
+    bool late = progress->has_stop && !(clock->now <= clock->stop + TIME_TOLERANCE * clock->step_size + 1e-12 * size);
     bool early = progress->has_stop && !(clock->stop >= clock->start);
-    return late || early || !(passed >= 0.0) || !finite_number(passed) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
+    return late || early || !(passed >= 0.0) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
 }
 
 static bool mode_fault(const Progress *progress) {
@@ -301,7 +324,7 @@ bool state_read(Instance *self, const char *function, const unsigned char bytes[
             Log log = self->log;
             self->log.logger = NULL; /* what the core says of a state that is only tried is nothing that happened */
             if (!adopt(self, saved, true)) wrong = "a state that no instance can have";
-            adopt(self, present, false);
+            go_back(self, present);
             self->log = log;
             free(present);
         }

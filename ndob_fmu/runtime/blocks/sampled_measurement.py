@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import floor, isfinite, nan, ulp
 
+from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.random_numbers import normal, uniforms
 
 MISSING = {"held": 1, "not_a_number": 2}
@@ -92,8 +93,17 @@ class Sampling:
         """Return the index of the last sample that is due; only with a sample_time > 0.
 
         since_start: s since the first sample; slack: s that a sample may be late by, see `slack_of`.
+
+        Raises IntegrationError where more samples are due than a float counts.
         """
-        return float(floor((since_start + max(slack, _OF_A_PERIOD * self.sample_time)) / self.sample_time))
+        periods = (since_start + max(slack, _OF_A_PERIOD * self.sample_time)) / self.sample_time
+        if not periods <= _LARGEST_INDEX:
+            raise IntegrationError.report(
+                "sample_time",
+                expected=f"at least {since_start / _LARGEST_INDEX:.3g} s, {since_start:g} s after the start",
+                received=f"{self.sample_time:g} s",
+            )
+        return float(floor(periods))
 
     def _measured(self, value: float, index: float) -> float:
         drawn = uniforms(self.seed, index)

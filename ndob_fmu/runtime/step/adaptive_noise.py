@@ -43,7 +43,8 @@ def common_step(step: float, multiples: float, change: float, *, repeats: bool) 
     """
     if not change > 0.0:
         return step, multiples
-    if not isfinite(step):
+    # A step that vanishes beside a change is none.
+    if not isfinite(step) or not isfinite(change / step):
         return change, 0.0
     rest, times = abs(remainder(change, step)), float(round(change / step))
     if rest > _EQUAL * step or times == 0.0:

@@ -134,10 +134,10 @@ class ChannelObserver(Generic[S]):
         directions = empty_lag(len(self.reading.channel.bound), self.reading.lag, 0)
         return ChannelState(lumped=self.observer.init(x_hat), d_hat=(0.0,), directions=directions)
 
-    def possible(self, state: ChannelState[S], elapsed: float) -> bool:
-        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+    def possible(self, state: ChannelState[S]) -> bool:
+        """Return whether numbers in the form of a state can be one."""
         own = (state.d_hat, state.directions.age, state.directions.value)
-        return all(bool(np.all(np.isfinite(part))) for part in own) and self.observer.possible(state.lumped, elapsed)
+        return all(bool(np.all(np.isfinite(part))) for part in own) and self.observer.possible(state.lumped)
 
     def estimate(self, state: ChannelState[S], y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""

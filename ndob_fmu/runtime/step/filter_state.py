@@ -150,24 +150,20 @@ class SampledObserverState:
 def is_possible(memory: FilterMemory) -> bool:
     """Return whether numbers in the form of a memory can be one."""
     jumps, lagged = memory.jumps, memory.lagged
+    vectors = np.concatenate([memory.past, memory.past_age, lagged.age, lagged.value, lagged.variance])
     return bool(
-        np.all(np.isfinite(memory.columns.values))
-        and np.all(np.isfinite(memory.past))
-        and np.all(np.isfinite(memory.past_age))
-        and np.all(np.isfinite(jumps.sizes))
-        and np.all(np.isfinite(jumps.misfit))
-        and np.all(np.isfinite(lagged.age))
-        and np.all(np.isfinite(lagged.value))
-        and np.all(np.isfinite(lagged.variance))
-        and np.all(np.isfinite(lagged.signatures))
-        and np.all(lagged.variance >= 0.0)
-        and np.all(jumps.misfit >= 0.0)
-        and not np.any(np.isnan(jumps.log_weight))
-        and not np.any(jumps.log_weight == np.inf)
+        np.isfinite(memory.columns.values).all()
+        and np.isfinite(vectors).all()
+        and np.isfinite(lagged.signatures).all()
+        and np.isfinite(jumps.sizes).all()
+        and np.isfinite(jumps.misfit).all()
+        and (jumps.misfit >= 0.0).all()
+        and (lagged.variance >= 0.0).all()
+        and (jumps.log_weight < inf).all()
         and jumps.newest_age >= 0.0
         and 0.0 <= jumps.rate <= 1.0
         and all(map(_is_possible_sensor, memory.sensors))
-        and all(isfinite(ratio) and ratio > 0.0 for ratio in memory.frozen_noise)
+        and all(0.0 < ratio < inf for ratio in memory.frozen_noise)
         and memory.tuned_at >= 0.0
         and memory.step >= 0.0
         and memory.age >= 0
@@ -176,22 +172,20 @@ def is_possible(memory: FilterMemory) -> bool:
 
 
 def _is_possible_sensor(sensor: SensorMemory) -> bool:
-    not_negative = (
-        sensor.noise_ratio,
-        sensor.counted,
-        sensor.multiples,
-        sensor.outlier_rate,
-        sensor.doubtful,
-        sensor.debt,
-        sensor.usual,
-        sensor.waited,
-        sensor.interval,
-    )
-    others = (sensor.skipped, sensor.drift, sensor.mean, sensor.last)
     return (
-        all(map(isfinite, not_negative))
-        and all(map(isfinite, others))
-        and min(not_negative) >= 0.0
+        0.0 <= sensor.noise_ratio < inf
+        and 0.0 <= sensor.counted < inf
+        and 0.0 <= sensor.multiples < inf
+        and 0.0 <= sensor.outlier_rate < inf
+        and 0.0 <= sensor.doubtful < inf
+        and 0.0 <= sensor.debt < inf
+        and 0.0 <= sensor.usual < inf
+        and 0.0 <= sensor.waited < inf
+        and 0.0 <= sensor.interval < inf
+        and isfinite(sensor.skipped)
+        and isfinite(sensor.drift)
+        and isfinite(sensor.mean)
+        and isfinite(sensor.last)
         and sensor.resolution > 0.0
         and sensor.last_variance > 0.0
         and 0.0 <= sensor.repeat_rate <= 1.0

@@ -55,8 +55,8 @@ class Observer(Protocol[S]):
     def init(self, x_hat: Vector) -> S:
         """Return the state that starts from x̂₀ (n,)."""
 
-    def possible(self, state: S, elapsed: float) -> bool:
-        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+    def possible(self, state: S) -> bool:
+        """Return whether numbers in the form of a state can be one."""
 
     def estimate(self, state: S, y: Vector) -> Estimate:
         """Return what is known at a sample y (p,) before any step from it."""

@@ -13,6 +13,9 @@ from ndob_fmu.runtime.step.delayed_outputs import row_in_past
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState
 
+# A number further from its prediction than so many standard deviations counts as not finite: its square may be.
+_FARTHEST = 1e100
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -36,14 +39,18 @@ def predicted(model: FilterModel, xi: Array, memory: FilterMemory, u: Vector, y:
     """Return the prediction of a sample y (p,) at ξ̂⁻ (N + past,) and u (m,)."""
     rows = output_rows(model, xi, memory, u)
     expected = _expected(model, xi, u, rows)
-    measured = [row is not None and isfinite(value) for row, value in zip(rows, y, strict=True)]
     noise = model.noise_used(memory.sensors)
+    std = [sqrt(spread(row, memory.columns.factor) + R) for row, R in zip(rows, noise, strict=True)]
+    measured = [
+        row is not None and isfinite(y[i]) and abs(y[i] - expected[i]) <= _FARTHEST * std[i]
+        for i, row in enumerate(rows)
+    ]
     return Prediction(
         rows=rows,
         measured=measured,
         innovation=[y[i] - expected[i] if one else 0.0 for i, one in enumerate(measured)],
         noise=noise,
-        std=[sqrt(spread(row, memory.columns.factor) + R) for row, R in zip(rows, noise, strict=True)],
+        std=std,
     )
 
 

@@ -45,8 +45,8 @@ class SampledObserver(PreparedObserver):
         """Return the state before the first sample, from x̂₀ (n,)."""
         return start_state(self, x_hat)
 
-    def possible(self, state: SampledObserverState, elapsed: float) -> bool:
-        """Return whether numbers in the form of a state can be one, `elapsed` s after the start."""
+    def possible(self, state: SampledObserverState) -> bool:
+        """Return whether numbers in the form of a state can be one."""
         return is_possible_state(self, state)
 
     def estimate(self, state: SampledObserverState, y: Vector) -> Estimate:

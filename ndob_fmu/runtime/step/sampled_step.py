@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite, isinf
 from operator import mul
 
 import numpy as np
 
-from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.base_errors import DesignError, IntegrationError
 from ndob_fmu.runtime.design.step_designs import StepDesign
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Vector
 from ndob_fmu.runtime.generated_steps import Numbers
@@ -35,14 +36,17 @@ DesignAt = Callable[[float, float, Numbers], StepDesign]
 
 
 def start_state(observer: PreparedObserver, x_hat: Vector) -> SampledObserverState:
-    """Return the state before the first sample, from x̂₀ (n,)."""
-    layout, p = observer.layout, len(observer.equations.outputs)
-    nominal = tuple(observer.settings.disturbance_nominal)
+    """Return the state before the first sample, from x̂₀ (n,).
+
+    Raises DesignError where a bound of the disturbance's derivatives is not finite.
+    """
+    layout, settings, p = observer.layout, observer.settings, len(observer.equations.outputs)
+    nominal = tuple(settings.disturbance_nominal)
     xi = np.zeros(layout.size)
     xi[: layout.n] = x_hat
     xi[layout.disturbance] = nominal if layout.order else ()
     xi[layout.parameters] = [observer.parameters[i] for i in layout.uncertain]
-    return SampledObserverState(
+    state = SampledObserverState(
         xi_hat=layout.packed(xi),
         d_hat=nominal,
         d_std=numbers(observer.known.disturbance_bound),
@@ -52,6 +56,13 @@ def start_state(observer: PreparedObserver, x_hat: Vector) -> SampledObserverSta
         squares=(1.0,) * p,
         memory=start_memory(filter_model(observer, 1.0, 0.0)),
     )
+    if not is_possible_state(observer, state):
+        raise DesignError.report(
+            "disturbance_bound and disturbance_rate",
+            expected="bounds of the disturbance and its derivatives that are finite",
+            received=f"{min(settings.disturbance_bound):g} and {max(settings.disturbance_rate):g}",
+        )
+    return state
 
 
 def is_possible_state(observer: PreparedObserver, state: SampledObserverState) -> bool:
@@ -60,11 +71,11 @@ def is_possible_state(observer: PreparedObserver, state: SampledObserverState) -
     values = (*state.xi_hat, *state.d_hat, *state.d_std, *state.u, *state.innovation, *state.squares)
     beyond = state.xi_hat[layout.series.stop : layout.n + HIGHEST_ORDER * layout.q]
     return bool(
-        np.all(np.isfinite(values))
+        all(map(isfinite, values))
         and not any(beyond)
         and min(state.d_std) >= 0.0
         and min(state.squares) >= 0.0
-        and not np.any(np.isinf(state.sample))
+        and not any(map(isinf, state.sample))
         and is_possible(memory)
     )
 
@@ -123,7 +134,8 @@ def step_by_definition(
     tuned: for the step that `step_to_tune_for` returns
     design_at: design_at(H, tuned_at, noise) returns the design for a step H (s), as `StepDesigns.at`
 
-    Raises IntegrationError where the equations cannot be evaluated, DesignError where the step has no design.
+    Raises IntegrationError where the equations cannot be evaluated or numbers leave the finite ones, DesignError where
+    the step has no design.
     """
     memory = replace(state.memory, tuned_at=tuned.H)
     held = u if np.all(np.isfinite(u)) else state.u
@@ -133,7 +145,10 @@ def step_by_definition(
         after, estimate, measured = _stepped(tuned, design_at, state, held, y, H)
     except (ArithmeticError, ValueError) as error:
         raise IntegrationError(f"model: its equations cannot be evaluated at the estimate ({error})") from error
-    return frozen(tuned, design_at, after, measured, H, memory.step), estimate
+    after = frozen(tuned, design_at, after, measured, H, memory.step)
+    if not is_possible_state(observer, after):
+        raise IntegrationError("what the observer remembers leaves the finite numbers")
+    return after, estimate
 
 
 def _stepped(
