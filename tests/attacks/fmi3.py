@@ -3,8 +3,8 @@
 python -m tests.attacks.fmi3 [--calls N] [--seed S] --fmus FOLDER
 
 Handles are good, freed or invented; references, counts, numbers, texts, states and bytes are good or not. Ends with 1
-if a status is not OK, Warning, Discard or Error, if an error says nothing, if a call that was refused has changed a
-value, or if a fresh instance no longer does what the first one did.
+if a status is not OK, Warning, Discard or Error, if an error says nothing, if the bytes of a state are refused, if a
+call that was refused has changed a value, or if a fresh instance no longer does what the first one did.
 """
 
 from __future__ import annotations
@@ -102,6 +102,7 @@ class Walk:
         self.states: list[tuple[int, int]] = []  # of an instance
         self.gone: list[int] = []
         self.counts: Counter[str] = Counter()
+        self.fault = ""  # of the present call
         self.actions = {
             "instantiate": 2, "free": 1, "initialise": 6, "step": 40, "get": 10, "set": 20, "reset": 1, "terminate": 1,
             "state": 10, "bytes": 6, "logging": 1, "unsupported": 2,
@@ -119,11 +120,13 @@ class Walk:
         if not self.alive:
             name = "instantiate"
         before = self.library.said
-        (handle, known), status = self.handle(), None
+        (handle, known), status, self.fault = self.handle(), None, ""
         status = getattr(self, name)(handle)
         self.counts[f"{name} {status}"] += 1
         if status is None:
             return ""
+        if self.fault:
+            return f"{name}: {self.fault}"
         if status not in (OK, WARNING, DISCARD, ERROR):
             return f"{name}: status {status}"
         if not known and status != ERROR:
@@ -223,13 +226,16 @@ class Walk:
         status = self.library.call("SerializeFMUState", handle, state, block, size)
         if status != OK:
             return status
-        if self.random.random() < 0.5:
+        spoilt = self.random.random() < 0.5
+        if spoilt:
             block[self.random.randrange(size.value)] ^= 1 << self.random.randrange(8)
         length = size.value if self.random.random() < 0.8 else self.random.randrange(size.value)
         place = c_void_p()
         status = self.library.call("DeserializeFMUState", handle, block, c_size_t(length), byref(place))
         if status == OK:
             self.states.append((handle.value, place.value))
+        elif not spoilt and length == size.value:
+            self.fault = "the bytes of a state are refused"
         return status
 
     def logging(self, handle: c_void_p) -> int:

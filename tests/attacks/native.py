@@ -1,9 +1,11 @@
 """Native FMUs with AddressSanitizer and UndefinedBehaviorSanitizer in them, under all attacks on FMUs.
 
 python -m tests.attacks.native --calls 100000 --trials 5000 --seed 1
+python -m tests.attacks.native --walks-only --calls 100000 --seed 1
 
-The walk of random calls (tests.fuzz), crafted states, odd texts and odd steps, and random calls of FMI 3.0. The first
-error of a sanitizer ends a process, which counts as a crash. Needs gcc with its sanitizers.
+The walk of random calls (tests.fuzz), crafted states, odd texts and odd steps, and random calls of FMI 3.0;
+--walks-only: the random calls of FMI 2.0 and 3.0 alone. The first error of a sanitizer ends a process, which counts as
+a crash. Needs gcc with its sanitizers.
 """
 
 from __future__ import annotations
@@ -58,13 +60,15 @@ def environment() -> dict[str, str]:
     }
 
 
+def walk(calls: int, seed: int) -> list[str]:
+    """Return the words of the walk of random calls of FMI 2.0, without the folder of FMUs."""
+    return ["tests.fuzz", "--calls", str(calls), "--seed", str(seed)]
+
+
 def attacks(calls: int, trials: int, seed: int) -> list[list[str]]:
-    """Return the words of each attack, without the folder of FMUs."""
+    """Return the words of each attack on FMUs of FMI 2.0, as those of the walk."""
     of_trials = ("tests.attacks.native_states", "tests.attacks.texts", "tests.attacks.steps")
-    return [
-        ["tests.fuzz", "--calls", str(calls), "--seed", str(seed)],
-        *([name, "--trials", str(trials), "--seed", str(seed)] for name in of_trials),
-    ]
+    return [walk(calls, seed), *([name, "--trials", str(trials), "--seed", str(seed)] for name in of_trials)]
 
 
 def attack_of_fmi3(calls: int, seed: int) -> list[str]:
@@ -84,13 +88,14 @@ def main() -> int:
     parser.add_argument("--calls", type=int, default=100_000)
     parser.add_argument("--trials", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--walks-only", action="store_true", help="only the random calls of FMI 2.0 and 3.0")
     options = parser.parse_args()
+    of_fmi2 = attacks(options.calls, options.trials, options.seed)
+    if options.walks_only:
+        of_fmi2 = [walk(options.calls, options.seed)]
     with tempfile.TemporaryDirectory(prefix="ndob_fmu_") as work:
         joint, found = load_model("flexible_joint"), 0
-        for fmi, every in (
-            (2, attacks(options.calls, options.trials, options.seed)),
-            (3, [attack_of_fmi3(options.calls, options.seed)]),
-        ):
+        for fmi, every in ((2, of_fmi2), (3, [attack_of_fmi3(options.calls, options.seed)])):
             plain, folder = Path(work, f"plain{fmi}"), Path(work, f"sanitized{fmi}")
             folder.mkdir()
             for fmu in (*build_native(joint, plain, fmi=fmi), *build_native_components(plain, fmi=fmi)):

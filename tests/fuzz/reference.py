@@ -142,6 +142,8 @@ def stepped(library: Library, memory: Memory, time: float, size: float) -> set[i
     late = abs(time - memory.time)
     if not (0.0 < size < inf and late <= max(TOLERANCE * max(size, memory.last), 4.0 * ulp(memory.time))):
         return {DISCARD}
+    if not time + size > time:
+        return {DISCARD}
     if memory.stop is not None and time + size > memory.stop + max(TOLERANCE * size, 4.0 * ulp(memory.stop)):
         return {ERROR}
     status = WARNING if holds_inputs(library, memory) else OK

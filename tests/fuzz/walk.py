@@ -490,6 +490,22 @@ class Walk:
         if self.simple("DeSerializeFMUstate", twin, words, allowed, *passed) in (OK, WARNING):
             self.keep(twin, None, place, reference.copy(memory))
 
+    def restore_own_bytes(self) -> None:
+        """What an instance remembers comes back from its bytes, whatever a host has done to it before."""
+        twin = self.pick()
+        if not twin.alive:
+            return
+        library, handle, state, size = twin.library, twin.handle, c_void_p(), c_size_t()
+        self.call("GetFMUstate", "of its own", twin, {OK}, lambda: library.GetFMUstate(handle, byref(state)))
+        assert library.SerializedFMUstateSize(handle, state, byref(size)) == OK
+        buffer = create_string_buffer(size.value)
+        assert library.SerializeFMUstate(handle, state, buffer, size) == OK
+        assert library.FreeFMUstate(handle, byref(state)) == OK
+        read = lambda: library.DeSerializeFMUstate(handle, buffer, size, byref(state))  # noqa: E731
+        self.call("DeSerializeFMUstate", "its own bytes", twin, {OK}, read)
+        self.call("SetFMUstate", "of its own bytes", twin, {OK}, lambda: library.SetFMUstate(handle, state))
+        assert library.FreeFMUstate(handle, byref(state)) == OK
+
     def spoilt(self, data: bytes) -> tuple[str, bytes]:
         place = self.random.randrange(len(data))
         flipped = bytes([data[place] ^ self.random.randrange(1, 256)])
@@ -563,6 +579,7 @@ ACTIONS = {
     "free_state": 3,
     "serialize": 4,
     "deserialize": 5,
+    "restore_own_bytes": 4,
     "check_reset": 0.3,
 }
 
