@@ -15,7 +15,7 @@ from ndob_fmu.support.progress import PATIENCE, shown_after
 if TYPE_CHECKING:
     from ndob_fmu.log.estimate_log import Estimated
     from ndob_fmu.log.fit.fit_log import Fitted
-    from ndob_fmu.log.fit.fit_parameters import Told
+    from ndob_fmu.log.told import Told
 _FITS = (
     "the settings fit the log; a wrong parameter that acts as the disturbance does is a part of its estimate and does "
     "not show here: `ndob-fmu fit --free` tells of it"
@@ -43,7 +43,13 @@ def add_log_commands(commands: Commands) -> None:
         slow=True,
     )
     _add_log(fit)
-    fit.add_argument("--free", nargs="+", default=[], metavar="PARAMETER", help="parameters of the model to be fitted")
+    fit.add_argument(
+        "--free",
+        nargs="+",
+        default=[],
+        metavar="PARAMETER",
+        help="parameters of the model to be fitted; OUTPUT_bias: a constant offset of that output",
+    )
     fit.add_argument(
         "--hold",
         type=float,
@@ -145,7 +151,8 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
 
     def each(told: Mapping[str, Told]) -> str:
         return ", ".join(
-            f"{name} {one.value:.4g} ± {2.0 * one.std:.2g} {units.get(name, '')}".rstrip() for name, one in told.items()
+            f"{name} {one.value:.4g} ± {2.0 * one.std:.2g} {units.get(name.removesuffix('_bias'), '')}".rstrip()
+            for name, one in told.items()
         )
 
     kind = {1: "wanders", 2: "is smooth"}[found.order]
@@ -173,14 +180,15 @@ def _estimate(options: argparse.Namespace) -> int:
     from ndob_fmu.model.loading import load_model
 
     out = options.out or Path("results", options.log.stem)
-    estimated = estimate_log(load_model(options.model), options.log, out, native=NATIVE / "fmus", **_told(options))
-    print(_text(estimated))
+    model = load_model(options.model)
+    estimated = estimate_log(model, options.log, out, native=NATIVE / "fmus", **_told(options))
+    print(_text(estimated, model.units))
     report = command_text(["ndob-fmu", "report", str(out)])
     print(f"{out}: result.csv, summary.json and figures; `{report}` makes a page of them")
     return 0
 
 
-def _text(found: Estimated) -> str:
+def _text(found: Estimated, units: Mapping[str, str]) -> str:
     rows, shown = found.found, found.shown_time
     start, stop = found.start_time - shown.zero, found.stop_time - shown.zero
     lines = [
@@ -190,6 +198,10 @@ def _text(found: Estimated) -> str:
         f"{rows.missing_inputs} inputs missing",
         f"  estimate of the {found.build} observer, valid in {100.0 * found.valid:.1f} % of the rows"
         + ("" if found.jumps is None else f"; the smoother found {found.jumps} jumps and {found.outliers} outliers"),
+    ]
+    lines += [
+        f"  {name}: offset {one.value:.4g} ± {2.0 * one.std:.2g} {units.get(name, '')}".rstrip()
+        for name, one in found.offsets.items()
     ]
     for name, output in found.diagnoses.items():
         lines.append(

@@ -26,6 +26,7 @@ from ndob_fmu.log.result_table import LOG, OBSERVER, ResultTable, table_lines
 from ndob_fmu.log.smooth.misfit import said_of_misfit
 from ndob_fmu.log.smooth.smooth_log import SmoothedStretch, smooth, start_samples
 from ndob_fmu.log.smooth.smoothable import not_smoothed
+from ndob_fmu.log.told import Told
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.results.csv_files import write_csv_parts
@@ -56,6 +57,7 @@ class Estimated:
     gaps: intervals longer than five usual ones, which `jitter` leaves out
     valid: share of the rows with a valid estimate
     jumps, outliers: that the smoother found; None where there is no smoothed estimate
+    offsets: that it found at the end of the log, for each output that has an unknown one
     diagnoses: of each output, by its name
     verdicts: what is wrong with a setting and what to change, one line each
     warnings: what the samples cannot tell apart
@@ -71,6 +73,7 @@ class Estimated:
     valid: float
     jumps: int | None
     outliers: int | None
+    offsets: Mapping[str, Told]
     diagnoses: Mapping[str, OutputDiagnosis]
     verdicts: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -121,8 +124,9 @@ def estimate_log(
     first = next(blocks)
     before = observer.estimate(observer.init(x_hat), first.outputs[0].tolist())
     check.start(first.outputs[0], before)
-    table, kept = ResultTable(eq, before, smooths=smooths), Thinned()
-    counts, tally = _Counts(len(eq.outputs)), ResidualTally(len(eq.outputs), start_samples(sampled))
+    biased = [eq.outputs[i] for i in sampled.layout.biased]
+    table, kept = ResultTable(eq, before, biased, smooths=smooths), Thinned()
+    counts, tally = _Counts(biased, len(eq.outputs)), ResidualTally(len(eq.outputs), start_samples(sampled))
 
     def rows(run: Run | None) -> Iterator[Recording]:
         stretches = along(observer, x_hat, chain([first], blocks), run)
@@ -161,7 +165,8 @@ def estimate_log(
 class _Counts:
     """What is counted while a log passes."""
 
-    def __init__(self, outputs: int) -> None:
+    def __init__(self, biased: Sequence[str], outputs: int) -> None:
+        self._biased, self._offsets = biased, dict[str, Told]()
         self._found, self._rows, self._valid, self._jumps, self._outliers = Found(), 0, 0.0, 0, 0
         self.misfit = np.zeros(outputs)
         self._first, self._last, self._usual, self._gaps = 0.0, 0.0, 0.0, 0
@@ -183,6 +188,8 @@ class _Counts:
         if smoothed is not None:
             self._jumps, self._outliers = self._jumps + smoothed.jumps, self._outliers + smoothed.outliers
             self.misfit = np.maximum(self.misfit, smoothed.misfit)
+            last = zip(self._biased, smoothed.offset[-1].tolist(), smoothed.offset_std[-1].tolist(), strict=True)
+            self._offsets = {name: Told(value, std) for name, value, std in last}
 
     def estimated(
         self,
@@ -207,6 +214,7 @@ class _Counts:
             valid=self._valid / self._rows,
             jumps=self._jumps if smooths else None,
             outliers=self._outliers if smooths else None,
+            offsets=self._offsets,
             diagnoses=diagnoses,
             verdicts=verdicts,
             warnings=warnings,

@@ -42,6 +42,7 @@ class Sensor:
     missing: share of the samples that are lost, from 0 to 1
     outliers: share of the samples that are wrong, from 0 to 1
     outlier_size: the largest error of these, in the output's unit; at least half of it
+    bias: a constant offset, in that unit
     """
 
     noise_std: float = 0.0
@@ -50,6 +51,7 @@ class Sensor:
     missing: float = 0.0
     outliers: float = 0.0
     outlier_size: float = 0.0
+    bias: float = 0.0
 
 
 def sines(size: float, pace: float, seed: int) -> Signal:
@@ -189,7 +191,8 @@ def _sampled(true: Array, sensor: Sensor, stream: Sequence[int]) -> Array:
     random, count = np.random.default_rng(stream), len(true)
     noise, lost, wrong = random.standard_normal(count), random.random(count), random.random(count)
     error = random.uniform(0.5, 1.0, count) * random.choice([-1.0, 1.0], count)
-    samples = true + sensor.noise_std * noise + np.where(wrong < sensor.outliers, sensor.outlier_size * error, 0.0)
+    wrong_by = np.where(wrong < sensor.outliers, sensor.outlier_size * error, 0.0)
+    samples = true + sensor.bias + sensor.noise_std * noise + wrong_by
     if sensor.resolution:
         samples = sensor.resolution * np.round(samples / sensor.resolution)
     absent = (np.arange(count) % sensor.every != 0) | (lost < sensor.missing)

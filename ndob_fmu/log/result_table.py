@@ -26,11 +26,14 @@ class ResultTable:
     there. `smoother.` has the smoothed estimate for the row's time.
     """
 
-    def __init__(self, equations: Equations, before: Estimate, *, smooths: bool) -> None:
+    def __init__(self, equations: Equations, before: Estimate, biased: Sequence[str], *, smooths: bool) -> None:
+        """Begin the table; `biased`: outputs that have an unknown offset."""
         self._shown = np.concatenate([np.atleast_1d(np.asarray(part, dtype=float)) for part in _published(before)])
         outputs = [v for v in observer_variables(equations) if v.causality == "output"]
         signals = [*equations.inputs, *equations.outputs]
-        estimated = [*equations.states, *equations.disturbances] if smooths else []
+        own = {name: name for name in (*equations.states, *equations.disturbances)}
+        own |= {f"{name}_bias": name for name in biased}
+        estimated = [*own] if smooths else []
         stds = [f"{name}_std" for name in estimated]
         self._names = (
             *(f"{LOG}.{name}" for name in signals),
@@ -42,7 +45,7 @@ class ResultTable:
         found = {f"{LOG}.{name}": units.get(name, "") for name in signals}
         found |= {f"{OBSERVER}.{variable.name}": variable.unit for variable in outputs}
         for names in (estimated, stds):
-            found |= {f"{SMOOTHER}.{name}": units.get(own, "") for name, own in zip(names, estimated, strict=True)}
+            found |= {f"{SMOOTHER}.{name}": units.get(own[of], "") for name, of in zip(names, estimated, strict=True)}
         self.units: Mapping[str, str] = {name: unit for name, unit in found.items() if unit}
 
     def rows(self, stretch: Stretch, smoothed: SmoothedStretch | None) -> Recording:
@@ -52,7 +55,7 @@ class ResultTable:
         self._shown = ended[-1]
         parts = [stretch.log.inputs, stretch.log.outputs, shown]
         if smoothed is not None:
-            parts += [smoothed.x, smoothed.d, smoothed.x_std, smoothed.d_std]
+            parts += [smoothed.x, smoothed.d, smoothed.offset, smoothed.x_std, smoothed.d_std, smoothed.offset_std]
         return Recording(stretch.log.time, self._names, np.hstack(parts), self._types, self.units)
 
 

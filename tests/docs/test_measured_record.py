@@ -14,9 +14,9 @@ from benchmarks.emps.page import EDGE, FREE, PAGE, TITLE, WHOLE
 from benchmarks.emps.record import FORCE, Estimate, known_before, pulses, read, score
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.fit.fit_log import Fitted
-from ndob_fmu.log.fit.fit_parameters import Told
 from ndob_fmu.log.fit.map_step import LearnedMap
 from ndob_fmu.log.made_log import Sensor, make_log
+from ndob_fmu.log.told import Told
 from tests.log.test_made_log import columns
 
 GALLERY = Path(__file__).parents[2] / "docs" / "gallery"

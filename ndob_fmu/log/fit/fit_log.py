@@ -12,12 +12,14 @@ import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
-from ndob_fmu.log.fit.fit_parameters import ORDERS, SURE, Told, as_told, with_parameters
+from ndob_fmu.log.fit.fit_parameters import ORDERS, SURE, as_told, with_parameters
 from ndob_fmu.log.fit.map_step import LearnedMap, MapStep, learn_maps
+from ndob_fmu.log.fit.offsets import as_start_values
 from ndob_fmu.log.fit.pace import rates_for
 from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
 from ndob_fmu.log.fit.tried_rates import Followed, best_followed
+from ndob_fmu.log.told import Told
 from ndob_fmu.log.told_values import start_values_text, told_values
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -83,7 +85,7 @@ def fit_log(
 ) -> Fitted:
     """Fit noise, class and pace of the disturbance and free parameters of a model to a log; write fit.json.
 
-    free: parameters of the model to be fitted
+    free: parameters of the model to be fitted, and offsets of outputs, `<output>_bias`
     hold: share of the rows, the last ones, that is held out to judge by
     names, units, start_values, native: as of `estimate_log`
 
@@ -96,6 +98,7 @@ def fit_log(
     setup = Setup(model, eq, values, tuple(free), hold, native)
     setup.check()
     run = setup.online(path, names, units)
+    setup = setup.with_values(setup.open_offsets(run.stretch.log))
     fitted = _fitted(setup, run, given)
     with atomic_folder(folder) as new:
         (new / FIT).write_text(start_values_text(fitted.start_values), "utf-8")
@@ -126,8 +129,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         raised = _raised_bounds(at_first, best)
         setup = setup.with_values({**as_given, **raised})
     warnings += [f"{name} is raised to {value:.3g}, because the log shows more" for name, value in raised.items()]
-    told = as_told(parameters)
-    setup, best, maps = _with_maps(setup.with_values(told), run, best)
+    setup, best, maps = _with_maps(setup.with_values(as_told(parameters)), run, best)
     warnings += maps.warnings
     noise_std = _noise_std(setup, best)
     found = {
@@ -135,7 +137,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         **raised,
         **{f"{name}_noise_std": told.value for name, told in noise_std.items()},
         "disturbance_order": best.order,
-        **told,
+        **as_start_values(setup.equations, parameters),
         **maps.values,
     }
     pace, pace_std = best.pace

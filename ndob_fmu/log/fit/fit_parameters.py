@@ -10,6 +10,7 @@ import numpy as np
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
 from ndob_fmu.log.fit.parameter_step import least_disturbance, most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
+from ndob_fmu.log.told import Told
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.support.progress import begin
 
@@ -23,14 +24,6 @@ _NOT_TOLD = 0.5
 # made logs of right models (`benchmarks/fit_logs.py`) it is up to 1.14, on the measured record of EMPS 2.6. Where it is
 # so much larger on the way there, it will not fall again.
 _LARGER, _FAR_LARGER = 1.2, 2.0
-
-
-@dataclass(frozen=True)
-class Told:
-    """A number that a log tells, and its standard deviation in the same unit."""
-
-    value: float
-    std: float
 
 
 @dataclass(frozen=True)
@@ -80,7 +73,7 @@ def _with_more_orders(setup: Setup, run: Run, known: ClassFit) -> ClassFit | Non
 
 
 def as_told(parameters: Mapping[str, Told]) -> dict[str, float]:
-    """Return start values of parameters and of their standard deviations."""
+    """Return values of parameters and of their standard deviations."""
     return {
         key: number for name, one in parameters.items() for key, number in ((name, one.value), (f"{name}_std", one.std))
     }
@@ -93,7 +86,7 @@ def _in_class(setup: Setup, run: Run, known: ClassFit) -> _Found:
         problem = setup.problem(run, known.order)
         if not lacks_more:
             most_rms = _FAR_LARGER * known.disturbance_rms
-            fit = fit_class(problem, known.trajectory, most_likely, start=known, most_rms=most_rms)
+            fit = fit_class(problem, known.in_layout_of(problem), most_likely, start=known, most_rms=most_rms)
             told = _told(fit)
             lacks_more = any(told) and fit.disturbance_rms > _LARGER * known.disturbance_rms
             if lacks_more:
@@ -103,7 +96,7 @@ def _in_class(setup: Setup, run: Run, known: ClassFit) -> _Found:
                     "leave least are taken"
                 )
         if lacks_more:
-            fit = fit_class(problem, known.trajectory, least_disturbance, start=known, climbs=False)
+            fit = fit_class(problem, known.in_layout_of(problem), least_disturbance, start=known, climbs=False)
             told = _told(fit)
         warnings += [
             f"{name}: the log cannot tell it from {' or '.join(setup.equations.disturbances)}; it stays as told, and "

@@ -82,7 +82,8 @@ def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: Noi
     """Return the noise of each output and the pace of each disturbance; `start`: where to begin."""
     p, q = record.whole.variance.shape[1], layout.q
     at = np.zeros(p + q) if start is None else start.logs
-    events = Events() if start is None else start.events
+    # Pieces may leave out the last rows, in which an event may be known.
+    events = Events() if start is None else start.events.before(len(record.whole.rows))
     for _ in range(_MOST_TURNS):
         at, told = _most_likely(record, layout, search.columns, events, at)
         found = search.within(_scaled(record, layout, at), events)

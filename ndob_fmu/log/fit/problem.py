@@ -26,7 +26,9 @@ class Problem:
     rows: the equations, at the parameters that are told
     samples: of all rows, with the variances that were told
     intensity (q2,): of the noise behind the r-th derivative of d, to begin with
-    free: indices of the parameters θ that are fitted; parameter_std (n_θ,): their prior standard deviations
+    offset (p,): of the outputs, constant
+    free: which of the parameters and, behind them, of the offsets are θ, which is fitted
+    parameter_std (n_θ,): prior standard deviations of θ
     trained: how many rows are fitted; the others are held out
     spacing: between two events, in rows
     """
@@ -34,6 +36,7 @@ class Problem:
     rows: RowModel
     samples: Samples
     intensity: Array
+    offset: Array
     free: tuple[int, ...]
     parameter_std: Array
     trained: int
@@ -52,19 +55,21 @@ class Problem:
     @property
     def told(self) -> Array:
         """θ (n_θ,) as told."""
-        return np.array([self.rows.model.parameters[i] for i in self.free])
+        return np.array([*self.rows.model.parameters, *self.offset])[list(self.free)]
 
     def about(self, trajectory: Array, theta: Array) -> Linearised:
-        """Return the first rows of the log about a trajectory (K,N), with the parameters θ (n_θ,).
+        """Return the first rows of the log about a trajectory (K,N), with θ (n_θ,).
 
         Raises IntegrationError where the equations cannot be followed.
         """
-        parameters = list(self.rows.model.parameters)
-        for index, value in zip(self.free, theta.tolist(), strict=True):
-            parameters[index] = value
-        rows = RowModel(replace(self.rows.model, parameters=tuple(parameters)), self.rows.functions)
+        told = self.rows.model.parameters
+        numbers = np.array([*told, *self.offset])
+        numbers[list(self.free)] = theta
+        parameters, offset = np.split(numbers, [len(told)])
+        rows = RowModel(replace(self.rows.model, parameters=tuple(parameters.tolist())), self.rows.functions)
         K, start = len(trajectory), Start(trajectory[0], np.diag(self.wide))
         samples = self.samples.first(K)
+        samples = replace(samples, outputs=samples.outputs - offset)
         record, columns = record_along(rows, samples, trajectory, lambda H: self.intensity, start, apart=True)
         return Linearised(self, trajectory, record, columns)
 

@@ -14,6 +14,7 @@ from ndob_fmu.errors import UsageError, nearest, one_of
 from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer
 from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
+from ndob_fmu.log.fit.offsets import check_offsets, offset_names, open_offsets
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.log import Log
 from ndob_fmu.log.online import Online, Stretch
@@ -62,8 +63,8 @@ class Run:
 class Setup:
     """What is told before a fit.
 
-    values: of all parameters of the observer
-    free: parameters of the model that are fitted
+    values: of all parameters of the observer, and the offsets that were found, as `<output>_bias`
+    free: parameters of the model that are fitted, and offsets of outputs
     hold: share of the rows, the last ones, that is held out
     native: folder of native FMUs, as in `estimate_log`
     """
@@ -78,14 +79,16 @@ class Setup:
     def check(self) -> None:
         """Raise UsageError for what cannot be fitted."""
         eq = self.equations
+        known = [*eq.parameters, *offset_names(eq)]
         for name in self.free:
-            if name not in eq.parameters:
+            if name not in known:
                 raise UsageError.report(
                     "--free",
-                    expected=one_of("parameter", eq.parameters, name),
+                    expected=one_of("parameter or offset", known, name),
                     received=repr(name),
-                    likely=nearest(name, eq.parameters),
+                    likely=nearest(name, known),
                 )
+        check_offsets(eq, self.values, self.free)
         if not 0.0 <= self.hold <= 0.9:
             raise UsageError.report("--hold", expected="a share of the rows from 0 to 0.9", received=f"{self.hold:g}")
         check_smoothed("fit", eq, self._observer(self._first_values))
@@ -98,13 +101,22 @@ class Setup:
                 str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(block.rows)
             )
         begin(f"fitting, part 1 of 5: running the observer along {block.rows} rows")
-        observer, found = self._run(self._first_values, block.log)
+        observer, found = self._run({**self._first_values, **self.open_offsets(block.log)}, block.log)
         return Run(found.stretch, observer, block.is_whole, found.build, found.warnings)
 
     def along(self, changes: Mapping[str, Any], run: Run, rows: int) -> Online:
         """Return what an observer with changed values says along the first rows of a log."""
         log = run.stretch.rows(slice(rows)).log
-        return self._run({**self.values, **changes}, log)[1].stretch.online
+        return self._run({**self.values, **changes}, replace(log, outputs=log.outputs - self._offset))[1].stretch.online
+
+    def open_offsets(self, log: Log) -> dict[str, float]:
+        """Return standard deviations of the free offsets, with which they are estimated until they are fitted."""
+        return open_offsets(self.equations, self.values, self.free, log)
+
+    @property
+    def _offset(self) -> Array:
+        """The offsets (p,) of the outputs that were found."""
+        return np.array([self.values.get(name, 0.0) for name in offset_names(self.equations)])
 
     @property
     def _first_values(self) -> dict[str, Any]:
@@ -118,17 +130,19 @@ class Setup:
 
     def problem(self, run: Run, order: int) -> Problem:
         """Return what a class of disturbances of an order is fitted to."""
-        observer = self._observer({**self.values, **self._pace(order), "lag": 0.0})
+        fitted = {name: 0.0 for name in offset_names(self.equations) if name in self.free}
+        observer = self._observer({**fitted, **self.values, **self._pace(order), "lag": 0.0})
         usual, log = run.stretch.usual, run.stretch.log
         tuned = observer.tuned(usual)
         told = np.broadcast_to(tuned.model.noise_variance, log.outputs.shape)
-        names = list(self.equations.parameters)
-        free = tuple(map(names.index, self.free))
-        prior = [self._prior(name, tuned.model.parameters[i]) for name, i in zip(self.free, free, strict=True)]
+        names, offset = [*self.equations.parameters, *offset_names(self.equations)], self._offset
+        free, numbers = tuple(map(names.index, self.free)), [*tuned.model.parameters, *offset]
+        prior = [self._prior(name, numbers[i]) for name, i in zip(self.free, free, strict=True)]
         return Problem(
             rows=RowModel(tuned.model, row_functions(self.model)),
             samples=Samples(run.stretch.step[:-1], log.inputs, log.outputs, told),
             intensity=tuned.intensity(usual, [1.0] * log.outputs.shape[1]),
+            offset=offset,
             free=free,
             parameter_std=np.array(prior),
             trained=run.rows - round(self.hold * run.rows),
@@ -168,12 +182,13 @@ class Setup:
         }
 
     def _observer(self, values: Mapping[str, Any]) -> SampledObserver:
-        """Return the observer for values, with no uncertain parameters."""
+        """Return the observer for values, with no uncertain parameters and no unknown ones of the offsets in them."""
         return told_observer(self.equations, self._known(values).__getitem__, ignored)
 
     def _known(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return values with no uncertain parameters."""
-        return {**values, **{f"{name}_std": 0.0 for name in self.equations.parameters}}
+        """Return values with no uncertain parameters and no unknown ones of the offsets in them."""
+        offsets = [name for name in offset_names(self.equations) if name in values]
+        return {**values, **{f"{name}_std": 0.0 for name in (*self.equations.parameters, *offsets)}}
 
     def _prior(self, name: str, value: float) -> float:
         told = float(self.values[f"{name}_std"])

@@ -48,11 +48,14 @@ class Start:
 
 
 def in_layout(trajectory: Array, old: Layout, new: Layout) -> Array:
-    """Return a trajectory (K,N) of one order of d in the layout of another; what it does not have is 0."""
+    """Return a trajectory (K,N) in another layout: another order of d, other offsets; what it does not have is 0."""
     xi = np.zeros((len(trajectory), new.size))
     shared = min(old.order, new.order) * new.q
     xi[:, : new.n + shared] = trajectory[:, : old.n + shared]
-    xi[:, new.biases.start :] = trajectory[:, old.biases.start :]
+    for place, output in enumerate(new.biased):
+        if output in old.biased:
+            xi[:, new.biases.start + place] = trajectory[:, old.biases.start + old.biased.index(output)]
+    xi[:, new.parameters] = trajectory[:, old.parameters]
     return xi
 
 

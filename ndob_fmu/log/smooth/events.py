@@ -62,6 +62,11 @@ class Events:
         outliers = {(first + k, i) for k, i in others.outliers}
         return Events({**self.jumps, **{first + k: kind for k, kind in others.jumps.items()}}, self.outliers | outliers)
 
+    def before(self, K: int) -> Events:
+        """Return those at the first K instants."""
+        jumps = {k: in_step for k, in_step in self.jumps.items() if k < K}
+        return Events(jumps, frozenset((k, i) for k, i in self.outliers if k < K))
+
     def without(self, others: Events) -> Events:
         """Return the events that others do not have."""
         jumps = {k: in_step for k, in_step in self.jumps.items() if k not in others.jumps}

@@ -39,6 +39,7 @@ class SmoothedStretch:
     """The smoothed estimate at the rows of a stretch.
 
     x, x_std (K,n), d, d_std (K,q2): states and disturbances with their error bars
+    offset, offset_std (K,·): of the outputs that have an unknown one, likewise
     jumps, outliers: how many were found
     misfit (p,): `misfit_std` of what the model's error adds to the samples
     """
@@ -47,6 +48,8 @@ class SmoothedStretch:
     x_std: Array
     d: Array
     d_std: Array
+    offset: Array
+    offset_std: Array
     jumps: int
     outliers: int
     misfit: Array
@@ -161,6 +164,8 @@ def smoothed_stretch(
         x_std=std[:, :n],
         d=d,
         d_std=d_std,
+        offset=xi[:, model.layout.biases],
+        offset_std=std[:, model.layout.biases],
         jumps=sum(k < rows for k in found.events.jumps),
         outliers=sum(k < rows for k, _ in found.events.outliers),
         misfit=misfit_std(variance_of_model(model, found, part)),
