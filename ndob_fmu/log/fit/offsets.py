@@ -42,11 +42,11 @@ def check_offsets(eq: Equations, values: Mapping[str, Any], free: Sequence[str])
     biased = [i for i, std in enumerate(stds) if i in wanted or std > 0.0]
     for i in inseparable_offsets(continued(lumped(eq)), parameters, x_hat, biased):
         if i in wanted:
+            alike = some_of(eq.disturbances, between=" or ")
             raise UsageError.report(
                 f"--free {names[i]}",
                 expected="an offset that the samples tell from all else",
-                received=f"one of {eq.outputs[i]} that looks like a constant {some_of(eq.disturbances, between=' or ')}, "
-                "another state or another offset",
+                received=f"one of {eq.outputs[i]} that looks like a constant {alike}, another state or another offset",
                 likely=f"no other sensor shows it; tell its size instead, --start-values {eq.outputs[i]}_bias_std",
             )
 
