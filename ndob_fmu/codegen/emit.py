@@ -67,6 +67,7 @@ def header_text(model: Model) -> str:
     return _HEADER.format(name=model.name, imports=IMPORTS, names=imported)
 
 
+@once_per_model
 def equations_text(model: Model) -> str:
     """Return the end of the module: EQUATIONS, made of the functions before it."""
     field = model.vector_field

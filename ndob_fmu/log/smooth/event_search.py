@@ -32,6 +32,7 @@ from ndob_fmu.log.smooth.events import (
     Jumps,
     with_events,
 )
+from ndob_fmu.log.smooth.rows import Rows, not_copied
 from ndob_fmu.log.smooth.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
 
@@ -44,8 +45,6 @@ _REACH = 10
 # One that was given up may come back, so many times: where events take turns, the search ends. A step of the
 # disturbance needs one return, where an outlier or another instant stood for it first.
 _MOST_RETURNS = 1
-
-Rows = slice | NDArray[np.intp]
 
 
 def explained(record: Filtered, columns: Jumps, spacing: int, first: int, known: Events | None = None) -> Explained:
@@ -125,7 +124,7 @@ class Search:
 
     def _judge(self, rows: NDArray[np.intp]) -> None:
         """Find what events at some rows explain, less what they cost."""
-        for some in map(_not_copied, np.array_split(rows, len(rows) // NEAR + 1)):
+        for some in map(not_copied, np.array_split(rows, len(rows) // NEAR + 1)):
             self._at_sample[some] = self._gained_by_jumps(some, self._columns.at_sample) - AT_SAMPLE_COSTS
             self._in_step[some] = self._gained_by_jumps(some, self._columns.in_step) - IN_STEP_COSTS
             self._outliers[some] = self._gained_by_outliers(some) - OUTLIER_COSTS
@@ -203,11 +202,6 @@ def _in_place_of(known: Known, columns: Array, score: Array, variance: Array) ->
     own_score = columns.T @ score + across @ without[:, -1]
     own_variance = columns.T @ variance @ columns + across @ without[:, :-1]
     return float(_eliminated(own_score[None], own_variance[None])[0])
-
-
-def _not_copied(rows: NDArray[np.intp]) -> Rows:
-    """Return rows as a slice where they follow one another."""
-    return slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) and rows[-1] - rows[0] == len(rows) - 1 else rows
 
 
 def explained_by(columns: Array, scores: Array, variances: Array) -> Array:

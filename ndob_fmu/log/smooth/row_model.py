@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.codegen.row_functions import RowFunction, RowFunctions
 from ndob_fmu.log.smooth.row_transition import RowTransition, row_transition
+from ndob_fmu.log.smooth.rows import Rows, not_copied
 from ndob_fmu.log.smooth.smoother import lower_factor
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import IntegrationError
@@ -122,7 +123,7 @@ class RowModel:
             end, done = self._in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, stiff=stiff)
             found.end[rows], found.Phi[rows], found.jumps[rows] = end, done.Phi, done.responses
             done.noise[:] *= sizes[rows][:, None, :, None]
-            noise = done.noise.reshape(len(rows), N, c * N)
+            noise = done.noise.reshape(-1, N, c * N)
             found.noise[rows] = noise if apart or c == 1 else lower_factor(noise)
         return found
 
@@ -236,12 +237,12 @@ def calm_units(X: Array, units: Array) -> Array:
     return units * calm if np.isfinite(calm).all() and calm.min() >= 1.0 else units
 
 
-def _groups(parts: NDArray[np.int_]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+def _groups(parts: NDArray[np.int_]) -> Iterator[tuple[int, Rows]]:
     """Yield a number of parts and rows that have it, as many as the processor keeps near itself."""
     for count in np.unique(parts).tolist():
         rows = np.flatnonzero(parts == count)
         for some in np.array_split(rows, len(rows) // _NEAR + 1):
-            yield count, some
+            yield count, not_copied(some)
 
 
 def _left_the_numbers() -> IntegrationError:
