@@ -242,6 +242,14 @@ def test_what_an_instance_remembers_comes_back_from_its_bytes_after_odd_steps_an
             assert own_bytes_taken(instance) == (OK, OK), instance.said
 
 
+def test_what_a_plant_remembers_comes_back_from_its_bytes_where_the_stop_time_is_rounded(built, flexible_joint):
+    for plant in (flexible_joint.plant, built(JOINT)[2]):
+        with opened(plant) as instance:
+            instance.begin(stop_time=0.0)
+            instance.step(0.0, 5e-324)
+            assert own_bytes_taken(instance) == (OK, OK), instance.said
+
+
 @pytest.mark.parametrize("target", ["python", "native"])
 def test_a_number_whose_square_is_infinite_counts_as_not_measured(built, target):
     shown = []

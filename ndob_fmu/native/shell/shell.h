@@ -64,6 +64,8 @@ static void environment_leave(Environment host);
 
 /* A step begins where the last one ended, within this part of a step: hosts add up steps, or round them. */
 #define TIME_TOLERANCE 1e-3
+/* The error (s) that a time may have beside a step. */
+static double tolerance(double step_size, double time);
 
 static void own_token(char token[TOKEN_SIZE]);
 

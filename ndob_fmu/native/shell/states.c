@@ -239,7 +239,9 @@ static bool times_fault(const Progress *progress) {
     if (!finite_number(progress->last_time) || not_a_number(clock->stop)) return true;
     double passed = clock->now - clock->start, size = fmax(fabs(clock->now), fabs(clock->start));
     double longest = passed / (1.0 - TIME_TOLERANCE) + 8.0 * (nextafter(size, HUGE_VAL) - size);
-    bool late = progress->has_stop && !(clock->now <= clock->stop + TIME_TOLERANCE * clock->step_size + 1e-12 * size);
+    /* The last step may have been longer by a rounding error than the one that it was taken for. */
+    double most = tolerance((1.0 + TIME_TOLERANCE) * clock->step_size, clock->stop);
+    bool late = progress->has_stop && !(clock->now <= clock->stop + most);
     bool early = progress->has_stop && !(clock->stop >= clock->start);
     return late || early || !(passed >= 0.0) || !(clock->step_size >= 0.0 && clock->step_size <= longest);
 }
