@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from math import prod
+from typing import NamedTuple
 
 import numpy as np
 import sympy
@@ -72,27 +73,46 @@ def _function(
     symbols: Sequence[Sequence[sympy.Symbol]], expressions: Callable[[], Sequence[sympy.Expr]], shape: tuple[int, ...]
 ) -> RowFunction:
     @cache
-    def compiled() -> Callable[..., Sequence[Array | float]]:
+    def compiled() -> _Compiled:
         wanted = list(expressions())
+        varying = [i for i, one in enumerate(wanted) if not one.is_Number]
         functions = {type(one).__name__ for expression in wanted for one in expression.atoms(sympy.Function)}
         # SciPy, which takes a tenth of a second to import, has those that NumPy has not.
         knows_all = functions <= _OF_NUMPY
         found: Callable[..., Sequence[Array | float]] = sympy.lambdify(
             [symbol for group in symbols for symbol in group],
-            wanted,
+            [wanted[i] for i in varying],
             modules=["numpy"] if knows_all else ["numpy", "scipy"],
             cse=True,
             dummify=True,
         )
-        return found
+        constant = {i: float(one) for i, one in enumerate(wanted) if one.is_Number and one != 0}
+        return _Compiled(found, varying, constant)
 
     def of_rows(*groups: Array) -> Array:
-        K = len(groups[0])
-        found = np.empty((K, prod(shape)))
+        K, (function, varying, constant) = len(groups[0]), compiled()
+        found = np.zeros((K, prod(shape)))
+        for column, number in constant.items():
+            found[:, column] = number
         with np.errstate(all="ignore"):
             for some in (slice(first, first + _NEAR) for first in range(0, K, _NEAR)):
-                for column, value in enumerate(compiled()(*(values[some] for group in groups for values in group.T))):
+                arguments = (_some(values, some) for group in groups for values in group.T)
+                for column, value in zip(varying, function(*arguments), strict=True):
                     found[some, column] = value
         return found.reshape(K, *shape)
 
     return of_rows
+
+
+class _Compiled(NamedTuple):
+    """A function of all columns, the places of its results, and the numbers at other places; elsewhere is 0."""
+
+    function: Callable[..., Sequence[Array | float]]
+    varying: Sequence[int]
+    constant: Mapping[int, float]
+
+
+def _some(values: Array, rows: slice) -> Array | float:
+    """Return some rows of a column (K,), or the number that it has in all rows."""
+    found: Array | float = values[0] if values.strides == (0,) else values[rows]
+    return found
