@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg
+import sympy
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.model.loading import load_model
@@ -55,6 +56,18 @@ TURNED = Model(
     disturbance_bound=1.0,
     x0=[0.0, 0.0],
     xhat0=[0.0, 0.0],
+)
+# Friction holds it, so that its equations jump back and forth.
+HELD = Model(
+    name="Held",
+    states=["place", "rate"],
+    inputs=["force"],
+    outputs=["place"],
+    disturbances=["push"],
+    dynamics=lambda x, u, d, p: [x.rate, u.force - 9.0 * sympy.sign(x.rate) + d.push],
+    parameters={},
+    noise_std=1e-4,
+    disturbance_bound=1.0,
 )
 _H = 1e-3
 
@@ -154,6 +167,7 @@ RUNS = [
     partial(_sampled, JOINT, order=1, noise_std=[1e-5, 2e-5], adapt_noise=False),
     partial(_sampled, STIFF, order=1, steps=10),
     partial(_sampled, TURNED, order=1, steps=5),
+    partial(_sampled, HELD, order=1, steps=10),
     partial(_sampled, JOINT, order=2, steps=40, disturbance_rate=[0.0], noise_std=[1e-5, 2e-5]),
     _channel,
     _paper,

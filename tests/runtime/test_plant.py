@@ -162,9 +162,18 @@ def test_equations_that_cannot_be_evaluated_end_in_an_integration_error():
 
 def test_too_many_substeps_in_one_step_end_in_an_integration_error_that_names_the_likely_cause(monkeypatch):
     monkeypatch.setattr(integrator, "MOST_SUBSTEPS", 300)
-    back_and_forth = compile_model(scalar(lambda a: -3.0 * sympy.sign(a)))
-    plant = Plant(back_and_forth, (), [Generator(KINDS["constant"], 1.0)])
+    swinging = compile_model(scalar(lambda a: 1e4 * sympy.cos(100.0 * a)))
+    plant = Plant(swinging, (), [Generator(KINDS["constant"], 2e4)])
     with pytest.raises(
         IntegrationError, match=r"more than 300 substeps in one communication step; likely cause: .*stiff"
     ):
         plant.step(plant.init([1.0], 0.0), (), (0.0,), 1.0)
+
+
+def test_a_plant_with_dry_friction_sticks_and_slips():
+    """ȧ = d − 3 sign(a): held by d = 1, gone by d = 5, where a = 2 t."""
+    plant = Plant(compile_model(scalar(lambda a: -3.0 * sympy.sign(a))), (), [Generator(KINDS["constant"], 1.0)])
+    held = plant.step(plant.init([0.0], 0.0), (), (0.0,), 1.0)
+    assert abs(held.x[0]) <= 6.0 / 64.0
+    plant = Plant(compile_model(scalar(lambda a: -3.0 * sympy.sign(a))), (), [Generator(KINDS["constant"], 5.0)])
+    assert plant.step(plant.init([0.0], 0.0), (), (0.0,), 1.0).x[0] == pytest.approx(2.0, abs=1e-9)

@@ -20,6 +20,12 @@ _JUDGED_AFTER = 10_000
 # tried. A start far from where a fast state settles takes 200 even where it is not stiff, 2 ms of generated code.
 _FIRST_TRIALS = 30
 _FEW_SUBSTEPS = 500
+# Where the right-hand side jumps back and forth, as friction does that holds a mass, no substep is short enough: the
+# error rises with the substep, not with its fifth power. If so many trials running, more than the instant of one jump
+# takes, are too slow to finish, two longer substeps show the power. The rest is then taken in parts.
+_TRIALS_AT_JUMPS = 60
+_LONGER, _POWER_AT_JUMPS = 5.0, 1.5
+_PARTS_AT_JUMPS = 64
 # A substep that comes this near to the end of the interval goes to the end.
 _ALMOST = 1.0 - 1e-12
 
@@ -100,47 +106,75 @@ def adapt(trial: Trial[X], x: X, t: float, t_end: float, h: float) -> tuple[X, f
 
     trial(t, x, step) returns x at t + step and the norm of its error, at most 1 where it may be accepted.
 
+    Where the right-hand side jumps back and forth, x follows it within what that does in one of `_PARTS_AT_JUMPS`.
+
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
-    return _adapt(trial, x, t, t_end, h, _next_of_any)
+    return _adapt(trial, x, t, t_end, h, few=False)
 
 
 def adapt_in_few(trial: Trial[X], x: X, t_end: float, h: float) -> tuple[X, float] | None:
     """Return what `adapt` does from t = 0; None where that fails, or is seen to need many trials."""
     try:
-        return _adapt(trial, x, 0.0, t_end, h, next_substep)
+        return _adapt(trial, x, 0.0, t_end, h, few=True)
     except IntegrationError:
         return None
 
 
-def _adapt(
-    trial: Trial[X],
-    x: X,
-    t: float,
-    t_end: float,
-    h: float,
-    following: Callable[[float, float, int, float, float], Substep],
-) -> tuple[X, float]:
+def _adapt(trial: Trial[X], x: X, t: float, t_end: float, h: float, *, few: bool) -> tuple[X, float]:
     left, trials, planned = t_end - t, 1, h
-    length = cut(planned, left)
+    length, t_before = cut(planned, left), t
     while True:
-        try:
-            after, error_norm = trial(t, x, length)
-        except (ArithmeticError, ValueError) as error:
-            raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
-        if not isfinite(error_norm):
-            raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
+        after, error_norm = _tried(trial, t, x, length)
         if error_norm <= 1.0:
             x = after
             if length == left:
                 # A substep cut short by the end of the interval says little against the longer one that was planned.
                 return x, max(planned, _length_after(length, error_norm))
-        t, length, left, trials, planned = following(t, length, trials, error_norm, t_end)
+        tried = trials
+        t, length, left, trials, planned = _next_of_any(t, length, tried, error_norm, t_end)
+        # While errors are too large, the substep is not yet known. The instant of one jump takes so many trials too.
+        if few and error_norm <= 1.0 and _are_many(Substep(t, length, left, tried, planned)):
+            few, trials = False, trials if _jumps(trial, x, t, planned) else 0
+        if trials % _TRIALS_AT_JUMPS == 0:
+            too_slow = MOST_SUBSTEPS * (t - t_before) < _TRIALS_AT_JUMPS * left
+            if too_slow and _jumps(trial, x, t, planned):
+                return _in_parts(trial, x, t, t_end), left
+            t_before = t
         if not trials:
             raise IntegrationError(
                 f"model at t = {t:g} s: more than {MOST_SUBSTEPS} substeps in one communication step; "
                 "likely cause: a step that is too long, or parameters that make the plant stiff or unstable"
             )
+
+
+def _jumps(trial: Trial[X], x: X, t: float, planned: float) -> bool:
+    """Return whether the right-hand side jumps near x, where the error allows so short a substep (s)."""
+    try:
+        _, shorter = trial(t, x, _LONGER * planned)
+        _, longer = trial(t, x, _LONGER**2 * planned)
+    except (ArithmeticError, ValueError):
+        return False
+    return shorter > 1.0 and longer < shorter * _LONGER**_POWER_AT_JUMPS
+
+
+def _in_parts(trial: Trial[X], x: X, t: float, t_end: float) -> X:
+    """Return x at t_end from x at t, in equal parts with any error. Raises IntegrationError as `adapt`."""
+    part = (t_end - t) / _PARTS_AT_JUMPS
+    for k in range(_PARTS_AT_JUMPS):
+        x, _ = _tried(trial, t + k * part, x, part)
+    return x
+
+
+def _tried(trial: Trial[X], t: float, x: X, step: float) -> tuple[X, float]:
+    """Return what the trial does. Raises IntegrationError where that has no value."""
+    try:
+        after, error_norm = trial(t, x, step)
+    except (ArithmeticError, ValueError) as error:
+        raise IntegrationError(f"model at t = {t:g} s: its equations cannot be evaluated ({error})") from error
+    if not isfinite(error_norm):
+        raise IntegrationError(f"model at t = {t:g} s: the solution leaves the finite numbers")
+    return after, error_norm
 
 
 def next_substep(t: float, length: float, trials: int, error_norm: float, t_end: float) -> Substep:
@@ -149,11 +183,13 @@ def next_substep(t: float, length: float, trials: int, error_norm: float, t_end:
     trials: until now. Those of the result are 0 too where many more would be needed.
     """
     substep = _next_of_any(t, length, trials, error_norm, t_end)
-    by_pace, by_length = (
-        substep.left * trials > _FEW_SUBSTEPS * substep.t,
-        substep.left > _FEW_SUBSTEPS * substep.planned,
-    )
-    return substep._replace(trials=0) if trials >= _FIRST_TRIALS and by_pace and by_length else substep
+    return substep._replace(trials=0) if _are_many(substep._replace(trials=trials)) else substep
+
+
+def _are_many(substep: Substep) -> bool:
+    """Return whether the trials until now, which `trials` counts, tell that many more are needed."""
+    by_pace = substep.left * substep.trials > _FEW_SUBSTEPS * substep.t
+    return substep.trials >= _FIRST_TRIALS and by_pace and substep.left > _FEW_SUBSTEPS * substep.planned
 
 
 def _next_of_any(t: float, length: float, trials: int, error_norm: float, t_end: float) -> Substep:
