@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ndob_fmu import Experiment, ObserverDefaults, SignalDefaults, build, check, design
 from ndob_fmu.analysis.paper_checks import paper_rows
 from ndob_fmu.codegen.compile_model import linear_part
-from ndob_fmu.errors import AssumptionError, ModelError, UsageError
+from ndob_fmu.errors import AssumptionError, DesignError, ModelError, UsageError
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.minimum_phase import transmission_zeros
 from ndob_fmu.runtime.linear_part import LinearPart
@@ -418,9 +418,14 @@ def test_without_a_declared_gamma_the_measured_one_informs():
     ids=["a switch", "a root of negative numbers", "a root that is vertical at zero"],
 )
 def test_an_f_with_no_lipschitz_constant_at_all_fails(f):
-    row = check(one_state_model(f))["lipschitz"]
+    row = check(one_state_model(f, x0=[1.0, 0.0], xhat0=[1.0, 0.0]))["lipschitz"]
     assert not row.passed
     assert "jumps or cannot be evaluated" in row.failure
+
+
+def test_a_start_without_slopes_is_refused_before_the_observer_fails_there():
+    with pytest.raises(DesignError, match=r"Slope, linearised at its start values: .*xhat0 is 0 where it is not told"):
+        check(one_state_model(lambda x, u, p: [sympy.sqrt(x.level)], x0=[1.0, 0.0]))
 
 
 def test_a_linear_plant_has_no_gamma_to_check():

@@ -56,7 +56,8 @@ def require_tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> 
             f"{equations.name}, linearised at its start values",
             expected="finite slopes of the derivatives and outputs",
             received="some that cannot be evaluated",
-            likely="a root or a quotient of 0; start elsewhere, or tell the ranges where the plant works",
+            likely="a root or a quotient of 0; start elsewhere (xhat0 is 0 where it is not told), or tell the ranges "
+            "where the plant works",
         )
     return found
 

@@ -152,11 +152,11 @@ def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector, u_s
 
 
 def linearised(equations: Equations, parameters: Vector, x_hat: Vector, order: int) -> LinearPart:
-    """Return the plant linearised where it works; its linear part where that cannot be evaluated.
+    """Return the plant linearised where it works; for r = 0 its linear part where that cannot be evaluated.
 
     Raises DesignError outside the paper's form for r = 0, and where the plant cannot be linearised.
     """
-    if equations.matrices is not None:
+    if equations.matrices is not None and order == 0:
         found = tangent(equations, parameters, x_hat)
         return equations.linear_part(parameters) if found is None else found
     if order == 0:
