@@ -364,7 +364,8 @@ def test_the_cost_of_a_step_of_a_linear_stiff_plant_does_not_grow_with_its_rate(
             Plant(eq, (rate,), (Generator(),)).init((0.3, -0.2, 0.7), 0.0), (1.0,), (0.5,), H
         )
         costs[rate] = counts
-    assert all(counts == {"plant_trial": 32, "derivatives": 3, "linearisation": 1} for counts in costs.values()), costs
+    assert all(counts.pop("plant_trial") <= 36 for counts in costs.values()), costs
+    assert all(counts == {"derivatives": 3, "linearisation": 1} for counts in costs.values()), costs
 
 
 @pytest.mark.parametrize("order", range(4))
