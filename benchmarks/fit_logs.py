@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product
 from pathlib import Path
@@ -41,9 +41,12 @@ PLANTS = {
     "motor": (MOTOR, 1e-3, "inertia"),
 }
 KINDS = ("sine", "steps", "walk")
+# As "steps", which are at samples, but each at any instant between two of them.
+BETWEEN = "steps_between"
 _RATES = (0.3, 1.0, 3.0, 10.0, 30.0)  # of D₀ per s
 _TOLD_OFF, _NOISE_OFF = 1.1, 0.5
 _STEADY_FROM = 0.1
+_ROUNDED = 1e-9  # of a step, by which a sample's time may be off
 _NOISE_WITHIN, _MOST_RATIO = 0.05, 1.1
 
 
@@ -53,16 +56,25 @@ def disturbance(plant: Plant, kind: str, seed: int, times: Array) -> Array:
     if kind == "sine":
         return 0.5 * D * np.sin(2.0 * np.pi * plant.pace * random.uniform(0.7, 1.3) * times + random.uniform(0.0, 6.0))
     if kind == "steps":
-        ends = np.cumsum(random.exponential(0.5, size=int(4.0 * times[-1]) + 8))
-        return D * random.uniform(-0.6, 0.6, len(ends) + 1)[np.searchsorted(ends, times)]
+        return _steps(plant, seed, float(times[-1]))(times)
     walk = np.cumsum(random.standard_normal(len(times))) * 0.2 * D * np.sqrt(times[1])
     return walk - walk.mean()
 
 
+def _steps(plant: Plant, seed: int, stop_time: float) -> Callable[[Any], Any]:
+    """Return a disturbance of steps, as a function of time."""
+    random, D = np.random.default_rng([seed, 7]), float(plant.bounds[0])
+    ends = np.cumsum(random.exponential(0.5, size=int(4.0 * stop_time) + 8))
+    levels = D * random.uniform(-0.6, 0.6, len(ends) + 1)
+    return lambda t: levels[np.searchsorted(ends, t)]
+
+
 def record_of(plant: Plant, kind: str, seed: int, H: float, rows: int) -> Record:
-    """Return a record with a disturbance of a class, held over each step."""
+    """Return a record with a disturbance of a class, held over each step unless it jumps between samples."""
+    if kind == BETWEEN:
+        return simulate(plant, H, [seed], _steps(plant, seed, rows * H), stop_time=rows * H)
     values = disturbance(plant, kind, seed, H * np.arange(rows + 1))
-    return simulate(plant, H, [seed], lambda t: values[min(int(t / H + 1e-6), rows)], stop_time=rows * H)
+    return simulate(plant, H, [seed], lambda t: values[min(int(t / H + _ROUNDED), rows)], stop_time=rows * H)
 
 
 def write_log(record: Record, path: Path) -> Path:
@@ -175,7 +187,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first one")
     parser.add_argument("--rows", type=int, default=3000)
     parser.add_argument("--plant", nargs="+", default=list(PLANTS), choices=list(PLANTS))
-    parser.add_argument("--kind", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--kind", nargs="+", default=list(KINDS), choices=[*KINDS, BETWEEN])
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.draws)
     draws = []

@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.estimator.plants import Array, Plant, Slope
 
 Disturbance = Callable[[float], Any]  # one number or (q,)
-_BEFORE = 1.0 - 1e-12  # of a substep: a disturbance that jumps at its end has not done so yet
+# Of a substep: a disturbance that jumps at its end has not done so yet. More than what rounding makes of the time.
+_BEFORE = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
