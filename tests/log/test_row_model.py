@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.linalg
 import sympy
 
 from ndob_fmu import Model
@@ -58,6 +59,22 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
         np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), rtol=0, atol=close)
         np.testing.assert_allclose(y[k], found.predicted_output(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(C[k], found.output_slopes(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
+
+
+def test_steps_of_a_linear_plant_are_those_of_its_exponential():
+    """Along a long log, an error of 1e-6 in the frequency of an oscillation is one of a parameter."""
+    model = Model(
+        name="Spring", states=["place", "rate"], inputs=["push"], outputs=["place"], disturbances=["force"],
+        dynamics=lambda x, u, d, p: [x.rate, u.push + d.force - 100.0 * x.place - x.rate], disturbance_bound=1.0,
+    )  # fmt: skip
+    eq, H = compile_model(model), 0.02
+    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(H).model
+    rows, xi, u = RowModel(found, row_functions(model)), np.array([[0.5, 2.0, -0.7]]), np.array([[0.3]])
+    one = np.ones((1, found.noise_directions.shape[1]))
+    end = rows.steps(xi, u, np.full(1, H), found.noise_directions, one, apart=True).end[0]
+    F = np.array([[0.0, 1.0, 0.0], [-100.0, -1.0, 1.0], [0.0, 0.0, 0.0]])
+    at_rest = np.array([(0.3 - 0.7) / 100.0, 0.0, -0.7])  # with this input and disturbance
+    np.testing.assert_allclose(end, at_rest + scipy.linalg.expm(F * H) @ (xi[0] - at_rest), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("case", CASES)
