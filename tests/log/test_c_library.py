@@ -15,8 +15,8 @@ from ndob_fmu.log.estimate_log import estimate_log
 from ndob_fmu.log.smooth import c_library as module
 from ndob_fmu.log.smooth.c_library import c_library
 from ndob_fmu.log.smooth.event_effects import AlongRecord, Source
-from ndob_fmu.log.smooth.event_search import explained_by
 from ndob_fmu.log.smooth.events import Events, Jumps, with_events
+from ndob_fmu.log.smooth.gains import explained_by
 from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
 from ndob_fmu.log.smooth.row_model import RowModel
 from ndob_fmu.log.smooth.row_transition import row_transition

@@ -63,6 +63,29 @@ def test_events_that_take_turns_end_the_search(monkeypatch, times):
     assert len(changes) < 200
 
 
+def calm_steps(between=0.0):
+    """A record of a disturbance that is steady but for a jump at 250, or so much of a step before."""
+    record, columns = double_integrator(600, np.where(np.arange(600) < 250, 0.2, 1.5), seed=2, sigma=1e-4, rate=1e-4)
+    H, size = 0.01, 1.3
+    record.whole.misfit[250:, 0] += size * between * H * (0.5 * between * H + H * np.arange(350))
+    return record, columns
+
+
+@pytest.mark.parametrize(
+    "known", [{249: False}, {250: True}, {247: False, 251: False}, {246: True, 250: True, 254: False}]
+)
+def test_a_jump_moves_to_its_instant_and_false_ones_beside_it_are_given_up(known):
+    record, columns = calm_steps()
+    assert explained(record, columns, 3, 9, Events(known)).events == Events({250: False})
+
+
+@pytest.mark.parametrize("known", [{250: False}, {249: False, 253: False}, {246: True, 254: True}])
+@pytest.mark.parametrize("between", [0.02, 0.3, 0.5, 0.7, 0.9])
+def test_a_jump_between_two_samples_is_one_jump(between, known):
+    record, columns = calm_steps(between)
+    assert [*explained(record, columns, 3, 9, Events(known)).events.jumps.values()] == [True]
+
+
 def jumping_record():
     """A record of a disturbance that jumps at 250, with an outlier at 100."""
     return double_integrator(600, np.where(np.arange(600) < 250, 0.2, 1.5), seed=2, bad={100: 3.0}.items())

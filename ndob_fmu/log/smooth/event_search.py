@@ -18,7 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ndob_fmu.log.smooth.c_library import c_library
+from ndob_fmu.log.smooth.better_jumps import with_better_jumps
 from ndob_fmu.log.smooth.event_effects import Source
 from ndob_fmu.log.smooth.event_scores import Event, EventScores, Known
 from ndob_fmu.log.smooth.events import (
@@ -32,6 +32,7 @@ from ndob_fmu.log.smooth.events import (
     Jumps,
     with_events,
 )
+from ndob_fmu.log.smooth.gains import eliminated, explained_by
 from ndob_fmu.log.smooth.rows import Rows, not_copied
 from ndob_fmu.log.smooth.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
@@ -60,14 +61,18 @@ def explained(record: Filtered, columns: Jumps, spacing: int, first: int, known:
 
 def explained_from(found: Explained, record: Filtered, columns: Jumps, spacing: int, first: int) -> Explained:
     """Do the same where the record with the events to begin with is filtered already."""
-    taken = Counter[Event]()
+    taken, best = Counter[Event](), found
     for _ in range(_MOST_PASSES):
         search = Search(found, columns, spacing, first, taken)
         search.run()
-        if search.events == found.events:
-            break
-        found = with_events(record, columns, search.events)
-    return found
+        better = search.events
+        if better == found.events:
+            better = with_better_jumps(record, columns, spacing, first, found)
+            if better == found.events:
+                break
+        found = with_events(record, columns, better)
+        best = max(best, found, key=lambda one: one.value)
+    return best
 
 
 class Search:
@@ -134,18 +139,25 @@ class Search:
         events, spacing, (at_sample, in_step, outliers_gained) = self.events, self._spacing, self.gained
         of_jumps, of_outliers = np.maximum(at_sample, in_step), outliers_gained.copy()
         of_jumps[: self._first] = -np.inf
-        jumps = {k: kind for k, kind in events.jumps.items() if of_jumps[k] > 0.0}
+        jumps = {
+            k: bool(in_step[k] > at_sample[k]) if self._may_return((k, None)) else kind
+            for k, kind in events.jumps.items()
+            if of_jumps[k] > 0.0
+        }
+        if any(kind != events.jumps[k] for k, kind in jumps.items()):
+            # Until a jump is where it is, nearly any other event explains what it leaves.
+            return Events({**events.jumps, **jumps}, events.outliers)
         outliers = {(k, i) for k, i in events.outliers if of_outliers[k, i] > 0.0}
-        for (k, i), count in self._taken.items():
-            if count > _MOST_RETURNS:
-                if i is None:
-                    of_jumps[k] = -np.inf
-                else:
-                    of_outliers[k, i] = -np.inf
+        for k, i in self._taken:
+            if self._may_return((k, i)):
+                continue
+            if i is None:
+                of_jumps[k] = -np.inf
+            else:
+                of_outliers[k, i] = -np.inf
         # Where an outlier is known, there may be a jump in its place.
         taken = np.zeros(len(of_jumps), dtype=bool)
-        for k in events.jumps:
-            taken[max(k - spacing, 0) : k + spacing + 1] = True
+        taken[[*events.jumps]] = True
         for k, i in events.outliers:
             of_outliers[k, i] = -np.inf
         best_outlier = of_outliers.max(axis=1)
@@ -160,6 +172,9 @@ class Search:
             else:
                 outliers.add((k, int(np.argmax(of_outliers[k]))))
         return Events(jumps, frozenset(outliers))
+
+    def _may_return(self, event: Event) -> bool:
+        return self._taken[event] <= _MOST_RETURNS
 
     def _gained_by_jumps(self, rows: Rows, columns: Array) -> Array:
         """Return what a jump with columns (K,N,c) explains at rows, of those that are known, what they do."""
@@ -196,35 +211,14 @@ class Search:
 
 
 def _in_place_of(known: Known, columns: Array, score: Array, variance: Array) -> float:
-    """Return what a jump with columns (N,c) explains in place of one that is known at its instant."""
+    """Return what a jump with columns (N,c) explains in place of one that is known at its instant.
+
+    −∞ where rounding errors leave nothing of I − M.
+    """
+    if not np.isfinite(known.explains):
+        return -np.inf
     across = columns.T @ variance @ known.source.columns
     without = np.linalg.solve(known.left, np.column_stack([across.T, known.score]))
     own_score = columns.T @ score + across @ without[:, -1]
     own_variance = columns.T @ variance @ columns + across @ without[:, :-1]
-    return float(_eliminated(own_score[None], own_variance[None])[0])
-
-
-def explained_by(columns: Array, scores: Array, variances: Array) -> Array:
-    """Return what events with columns J (K,N,c) explain, by scores λ (K,N) and their variances Λ (K,N,N).
-
-    −∞ where rounding errors leave no variance.
-    """
-    in_c = c_library(len(columns))
-    if in_c is None:
-        score = np.einsum("knc,kn->kc", columns, scores)
-        return _eliminated(score, np.swapaxes(columns, 1, 2) @ variances @ columns)
-    return in_c.explained_by(columns, scores, variances)
-
-
-def _eliminated(score: Array, variance: Array) -> Array:
-    """Return ½ (lᵀ (I + M)⁻¹ l − log det (I + M)) for l (K,c) and M (K,c,c) by elimination, all rows at once."""
-    c = score.shape[1]
-    left, gained = np.concatenate([np.eye(c) + variance, score[:, :, None]], axis=2), np.zeros(len(score))
-    for _ in range(c):
-        is_left = left[:, 0, 0] > 0.0
-        pivot = np.where(is_left, left[:, 0, 0], 1.0)
-        gained[~is_left] = -np.inf
-        row = left[:, 0, 1:] / pivot[:, None]
-        gained += left[:, 0, -1] * row[:, -1] - np.log(pivot)
-        left = left[:, 1:, 1:] - left[:, 1:, :1] * row[:, None]
-    return 0.5 * gained
+    return float(eliminated(own_score[None], own_variance[None])[0])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import log
 from typing import Protocol
 
@@ -69,7 +70,7 @@ class Events:
 
     def without(self, others: Events) -> Events:
         """Return the events that others do not have."""
-        jumps = {k: in_step for k, in_step in self.jumps.items() if k not in others.jumps}
+        jumps = {k: in_step for k, in_step in self.jumps.items() if others.jumps.get(k) != in_step}
         return Events(jumps, self.outliers - others.outliers)
 
     @property
@@ -92,6 +93,11 @@ class Explained:
     forward: Forward
     adjoint: Adjoint
     ends: NDArray[np.intp]
+
+    @cached_property
+    def value(self) -> float:
+        """The log-likelihood of the samples, less what the events cost."""
+        return float(self.forward.log_likelihoods.sum()) - self.events.costs
 
 
 class Filtered(Protocol):
