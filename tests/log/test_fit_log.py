@@ -13,17 +13,18 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError
 from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.fit import noise_fit
-from ndob_fmu.log.fit.class_fit import ClassFit
+from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
 from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.fit.likelihood import likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, moved
+from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.read_log import read_log
 from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.log.told_values import told_values
 from tests.log.made_logs import made_log
-from tests.log.test_estimate_log import CART
+from tests.log.test_estimate_log import CART, simulated, write_log
 
 EQUATIONS = compile_model(CART)
 # Half of the true noise of the places, and more than that of the rates.
@@ -68,7 +69,33 @@ def test_a_noise_that_is_told_far_too_large_is_found_in_a_few_steps(tmp_path, mo
     assert len(calls) <= 10
 
 
-def test_what_stands_between_two_jumps_a_few_rows_apart_does_not_count_as_the_largest_disturbance(tmp_path):
+def fitted_to_a_jump(folder, at):
+    """Return the fit of all rows to a log whose wind jumps once, the wind (900,) and the true noise (2,)."""
+    time, noise = 0.01 * np.arange(900), np.array([2e-4, 3e-3])
+    wind = np.where(np.arange(900) < at, 0.5, 2.5)
+    write_log(folder / "log.csv", time, *simulated(time, wind, noise, 3))
+    told = replace(setup(place_noise_std=1e-4, rate_noise_std=5e-3), hold=0.0)
+    run = told.online(folder / "log.csv", None, None)
+    problem = told.problem(run, 1)
+    return fit_class(problem, told.trajectory(run, problem), most_likely), wind, noise
+
+
+@pytest.mark.parametrize("at", [601, 602])
+def test_a_jump_right_behind_the_cut_between_two_pieces_is_in_the_smoothed_disturbance(tmp_path, at):
+    """A piece of 150 rows begins with a wide covariance, which explains a jump in its first rows as well."""
+    found, wind, noise = fitted_to_a_jump(tmp_path, at)
+    np.testing.assert_allclose(found.disturbance[:, 0], wind[-len(found.disturbance) :], rtol=0, atol=0.1)
+    std = np.array([1e-4, 5e-3]) * np.exp(0.5 * found.noise.log_variance)
+    np.testing.assert_allclose(std, noise, rtol=0.05)
+
+
+def test_a_jump_in_the_first_rows_is_found_as_one(tmp_path):
+    assert fitted_to_a_jump(tmp_path, 9)[0].noise.events == Events({9: False})
+
+
+def test_what_stands_between_jumps_or_ends_a_few_rows_apart_does_not_count_as_the_largest_disturbance(
+    tmp_path,
+):
     made_log(tmp_path / "log.csv", "walk", 3, rows=700)
     told = replace(setup(), hold=0.0)
     run = told.online(tmp_path / "log.csv", None, None)
@@ -78,12 +105,15 @@ def test_what_stands_between_two_jumps_a_few_rows_apart_does_not_count_as_the_la
     trajectory[500:, problem.layout.disturbance] = 2.0
 
     def largest(*jumps):
-        noise = NoiseFit(np.zeros(2), np.zeros(1), np.eye(3), Events(dict.fromkeys(jumps, False)), 0.0)
+        events = Events(dict.fromkeys(jumps, False))
+        noise = NoiseFit(np.zeros(2), np.zeros(1), np.eye(3), events, 0.0)
         about = problem.about(trajectory, problem.told)
-        return ClassFit(about, noise, np.zeros(0), np.zeros((0, 0)), trajectory).largest(np.full(1, 0.5))
+        return ClassFit(about, noise, np.zeros(0), np.zeros((0, 0)), trajectory, events).largest(np.full(1, 0.5))
 
     assert largest(300, 305, 500) == 1.5
     assert largest(300, 500) == 9.5
+    trajectory[695:, problem.layout.disturbance] = 7.0
+    assert largest(300, 305, 500, 695) == 1.5
 
 
 def bars(answer, left):

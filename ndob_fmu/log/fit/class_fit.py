@@ -13,12 +13,14 @@ from itertools import pairwise
 from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
 from ndob_fmu.log.fit.parameter_step import Step
 from ndob_fmu.log.fit.problem import Linearised, Problem
 from ndob_fmu.log.smooth.along import in_layout
+from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, with_events
 from ndob_fmu.log.smooth.linear_record import Smoothed
 from ndob_fmu.log.smooth.whole_record import WholeRecord
@@ -41,7 +43,7 @@ _LIVELY = (1e8, 1e5, 1e3, 10.0, 1.0)
 # What wanders by more than this part of a jump is jumps that were too small to be found. A jump is seen in full so many
 # rows beside it.
 _SMALL, _BESIDE = 0.25, 2
-# Two jumps within so many rows may stand for one.
+# Within so many rows a disturbance is hardly told.
 _CLOSE = 10
 # A normal number is as often within the median of its size as beyond it, and that is its standard deviation over this.
 _STD_OF_MEDIAN = 1.4826
@@ -75,7 +77,7 @@ class ClassFit:
     about: all rows, linear about nearly the same trajectory
     noise: the noise of the samples, the pace and the events of the rows that were fitted
     parameters (n_θ,), covariance (n_θ,n_θ): θ
-    trajectory (K,N): smoothed ξ of all rows
+    trajectory (K,N), events: smoothed ξ of all rows, as one record, and the events in it
     """
 
     about: Linearised
@@ -83,6 +85,7 @@ class ClassFit:
     parameters: Array
     covariance: Array
     trajectory: Array
+    events: Events
 
     @property
     def problem(self) -> Problem:
@@ -122,13 +125,9 @@ class ClassFit:
     def largest(self, about: Array) -> Array:
         """The largest distance (q2,) of smoothed disturbances from values (q2,).
 
-        Two jumps a few rows apart may stand for one between them, and what the disturbance is there is hardly told.
+        Few samples tell what it is between close jumps, or between a jump and an end of the log.
         """
-        told = np.ones(len(self.trajectory), dtype=bool)
-        jumps = sorted(self.with_held_out_events.noise.events.jumps)
-        for one, other in pairwise(jumps):
-            told[one:other] = other - one > _CLOSE
-        told = told[-len(self.disturbance) :]
+        told = _told_rows(self.problem, self.trajectory, self.events)
         return np.asarray(np.max(np.abs(self.disturbance - about)[told], axis=0, initial=0.0))
 
     @property
@@ -145,7 +144,7 @@ class ClassFit:
     @property
     def disturbance_rms(self) -> float:
         """Of the smoothed disturbances."""
-        return _rms(self.problem, self.trajectory)
+        return _rms(self.problem, self.trajectory, self.events)
 
     @property
     def jumping_rate(self) -> Array:
@@ -184,11 +183,12 @@ def fit_class(
     """
     theta, prior, before = problem.told, problem.parameter_std, None
     first = None if start is None else start.noise.for_intensity(start.problem.intensity, problem.intensity)
-    train, at_best = slice(problem.trained), problem.told
+    train, at_best, events = slice(problem.trained), problem.told, None if start is None else start.events
     for _ in range(_MOST_ROUNDS):
         about = problem.about(trajectory, theta)
         noise = fit_noise(*about.pieces(train), problem.layout, before or first)
-        found = _explained(about, noise)
+        found = _explained(about, noise, noise.events if events is None else events)
+        events = found.events
         trajectory = trajectory + Smoothed(found.forward, found.adjoint).xi
         if climbs and before is not None and noise.value < before.value - _LESS:
             theta = 0.5 * (theta + at_best)  # the step was too long
@@ -196,22 +196,24 @@ def fit_class(
         at_best = theta
         step, covariance = np.zeros(0), np.zeros((0, 0))
         if len(prior):
-            wanted, covariance, events = step_of(problem, trajectory, theta, noise)
+            wanted, covariance, needed = step_of(problem, trajectory, theta, noise)
             step = np.clip(wanted, -_LONGEST_STEP * prior, _LONGEST_STEP * prior)
-            noise = replace(noise, events=events)
+            noise = replace(noise, events=needed)
         if before is not None and _same(before, noise, step, np.sqrt(np.diag(covariance))):
             break
-        if _rms(problem, trajectory) > most_rms:
+        if _rms(problem, trajectory, found.events) > most_rms:
             break
         theta, before = theta + step, noise
-    return ClassFit(about=about, noise=noise, parameters=at_best, covariance=covariance, trajectory=trajectory)
+    return ClassFit(about, noise, parameters=at_best, covariance=covariance, trajectory=trajectory, events=found.events)
 
 
-def _explained(known: Linearised, noise: NoiseFit) -> Explained:
-    """Return all rows with their events, which are found in pieces side by side."""
-    pieces, search = known.pieces(slice(None))
-    events = search.within(noise.cut(pieces, known.problem.layout), noise.events)
-    return with_events(_whole(known, noise), known.columns, events)
+def _explained(known: Linearised, noise: NoiseFit, events: Events) -> Explained:
+    """Return all rows with the events of one record, which sees those that the start of a piece explains as well.
+
+    events: to begin with
+    """
+    search = known.search(slice(None))
+    return explained(_whole(known, noise), search.columns, search.spacing, search.first, events)
 
 
 def _held_out(about: Linearised, noise: NoiseFit) -> HeldOut:
@@ -280,10 +282,18 @@ def _disturbance(problem: Problem, trajectory: Array) -> Array:
     return trajectory[problem.rows.model.start_samples :, problem.layout.disturbance]
 
 
-def _rms(problem: Problem, trajectory: Array) -> float:
+def _told_rows(problem: Problem, trajectory: Array, events: Events) -> NDArray[np.bool_]:
+    """Return at which rows of `_disturbance` it is told: not between jumps, or a jump and an end, that are close."""
+    told = np.ones(len(trajectory), dtype=bool)
+    for one, other in pairwise([0, *sorted(events.jumps), len(told)]):
+        told[one:other] = other - one > _CLOSE
+    return told[problem.rows.model.start_samples :]
+
+
+def _rms(problem: Problem, trajectory: Array, events: Events) -> float:
     """Return the root mean square of disturbances (K,q2), each over its bound, in the unit of the first one."""
-    bound = problem.rows.model.bound
-    return float(np.sqrt(np.mean((_disturbance(problem, trajectory) / bound) ** 2)) * bound[0])
+    bound, told = problem.rows.model.bound, _told_rows(problem, trajectory, events)
+    return float(np.sqrt(np.mean((_disturbance(problem, trajectory)[told] / bound) ** 2)) * bound[0])
 
 
 def _same(before: NoiseFit, after: NoiseFit, step: Array, std: Array) -> bool:

@@ -17,6 +17,8 @@ from ndob_fmu.runtime.step.layout import Layout
 
 # Rows of a piece, at least: what a piece begins with is forgotten in a small part of them.
 _PIECE = 150
+# A jump at the first row is a part of the start.
+_FIRST = 1
 
 
 @dataclass(frozen=True)
@@ -93,4 +95,4 @@ class Linearised:
 
     def search(self, rows: slice) -> EventSearch:
         """Return where events may be in some rows."""
-        return EventSearch(self.columns.some(rows), self.problem.spacing, self.problem.rows.model.start_samples)
+        return EventSearch(self.columns.some(rows), self.problem.spacing, _FIRST)
