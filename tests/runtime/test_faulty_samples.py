@@ -61,7 +61,7 @@ def inside(run, late=0.4):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("size", [50.0, 500.0, 5000.0])
+@pytest.mark.parametrize("size", [50.0, 500.0, 5000.0, 1e30])
 def test_outliers_cost_next_to_nothing_and_are_not_used(size, seed):
     faults = Faults(outlier(size), probability=0.02, seed=seed)
     spoiled, clean = run(faults, seed=seed), run(seed=seed)

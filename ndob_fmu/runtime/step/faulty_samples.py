@@ -1,9 +1,10 @@
 """Which samples are refused: each is explained as good, as an outlier or as one that repeats an earlier sample.
 
 Good samples have the innovation e with the variance α. Outliers have 100, 10 000 or 1e6 times the noise, and are as
-frequent as they were until now. A faulty sample that repeats the value before it predicts that value exactly; good
-samples repeat a value as often as they did until now. The explanation of higher probability decides. Hypotheses of a
-jump (`jump_bank`) judge a refused sample for themselves.
+frequent as they were until now. A few of them are of any size, as the numbers that stand for a missing sample. A
+faulty sample that repeats the value before it predicts that value exactly; good samples repeat a value as often as
+they did until now. The explanation of higher probability decides. Hypotheses of a jump (`jump_bank`) judge a refused
+sample for themselves.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ _LOG_ODDS_AGAIN = 0.0
 # During the start the covariance is not sure enough to call a sample faulty that is only somewhat improbable.
 _LOG_ODDS_AT_START = -30.0
 _OUTLIERS = (1e4, 1e8, 1e12)  # variance over that of the noise
+# The share of outliers that are of any size. It is so small that a jump explains what it may explain at all: without
+# noise all innovations of a jump are larger than the outliers above.
+_LOG_ANY_SIZE = -20.0
 _RAREST_REPEAT = 1e-4
 
 
@@ -72,12 +76,12 @@ def judge(
         good += log(max(repeat_rate, _RAREST_REPEAT))
         faulty = odds
     else:
-        faulty = (
-            odds
-            + max(
-                -0.5 * (e * e / (alpha + more * variance) + log((alpha + more * variance) / alpha))
-                for more in _OUTLIERS
-            )
-            - log(len(_OUTLIERS))
-        )
+        usual = max(_log_density(e, alpha, alpha + more * variance) for more in _OUTLIERS) - log(len(_OUTLIERS))
+        of_any_size = _log_density(e, alpha, max(e * e, alpha)) + _LOG_ANY_SIZE
+        faulty = odds + max(usual, of_any_size)
     return Judgement(refused=faulty > good, if_good=good, if_faulty=faulty)
+
+
+def _log_density(e: float, alpha: float, variance: float) -> float:
+    """Return the logarithm of the density of e with a variance, over that of 0 with the variance α."""
+    return -0.5 * (e * e / variance + log(variance / alpha))
