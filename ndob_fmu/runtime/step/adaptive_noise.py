@@ -43,7 +43,7 @@ def common_step(step: float, multiples: float, change: float, *, repeats: bool) 
     """
     if not change > 0.0:
         return step, multiples
-    # A step that vanishes beside a change is none.
+    # The quotient overflows where the step is too small beside the change.
     if not isfinite(step) or not isfinite(change / step):
         return change, 0.0
     rest, times = abs(remainder(change, step)), float(round(change / step))
