@@ -13,7 +13,7 @@ from ndob_fmu.runtime.arrays import Array
 LAGS = 20
 # Twice the standard error is the band of a right setting. Long logs have narrow ones, in which nothing real lies: what
 # is smaller than these is not worth a change.
-_SIZE, _CORRELATED, _REFUSED = 1.3, 0.2, 0.01
+_SIZE, CORRELATED, _REFUSED = 1.3, 0.2, 0.01
 _NOISE = 1.5
 _ANY_FACTOR = 1000.0  # above it the number says nothing
 
@@ -64,7 +64,7 @@ class OutputDiagnosis:
 
     @property
     def _follow_one_another(self) -> bool:
-        return float(self.correlation[0]) > max(_CORRELATED, self.correlation_band)
+        return float(self.correlation[0]) > max(CORRELATED, self.correlation_band)
 
     def _of_disturbance(self, output: str) -> Iterator[str]:
         if self._follow_one_another:

@@ -157,6 +157,24 @@ def test_the_noise_of_each_output_is_found(fitted):
         assert abs(found.value - true) < 3.0 * found.std < 0.15 * true
 
 
+def test_noise_of_a_right_model_has_no_warning(fitted):
+    assert not any("follow one another" in line for line in fitted[2].warnings)
+
+
+def test_an_output_that_the_model_cannot_follow_has_a_warning_that_its_noise_is_none(tmp_path):
+
+    def dynamics(x, u, d, p):
+        return [1.3 * x.rate, (u.force - p.drag * x.rate * x.rate**2 + d.wind) / p.mass]
+
+    made_log(tmp_path / "log.csv", "sine", 3, rows=900)
+    wrong = replace(CART, name="Wrong", dynamics=dynamics)
+    found = fit_log(wrong, tmp_path / "log.csv", tmp_path / "out", start_values=WRONG)
+    too_large = {name for name, true in NOISE.items() if found.noise_std[name].value > 2.0 * true}
+    assert too_large
+    said = {line.partition(":")[0] for line in found.warnings if "residuals follow one another" in line}
+    assert said == too_large
+
+
 def test_the_class_of_the_disturbance_is_found(fitted):
     kind, _, found = fitted
     assert found.is_jumping == (kind == "steps")

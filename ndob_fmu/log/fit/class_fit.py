@@ -131,6 +131,14 @@ class ClassFit:
         return np.asarray(np.max(np.abs(self.disturbance - about)[told], axis=0, initial=0.0))
 
     @property
+    def residuals(self) -> Array:
+        """Innovations (K,p) over their standard deviations, behind the start; NaN where nothing was measured."""
+        run = with_events(_whole(self.about, self.noise), self.about.columns, self.events).forward
+        there = np.isfinite(run.alpha)
+        known = np.where(there, run.innovation / np.sqrt(np.where(there, run.alpha, 1.0)), np.nan)
+        return np.asarray(known[self.problem.rows.model.start_samples :])
+
+    @property
     def with_held_out_events(self) -> ClassFit:
         """The same with the events of the held-out rows, too."""
         events = self.noise.events.and_then(self.held_out.events, self.problem.trained)

@@ -13,6 +13,7 @@ import numpy as np
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
 from ndob_fmu.log.fit.fit_parameters import ORDERS, SURE, as_told, with_parameters
+from ndob_fmu.log.fit.followed import said_of_residuals
 from ndob_fmu.log.fit.map_step import LearnedMap, MapStep, learn_maps
 from ndob_fmu.log.fit.offsets import as_start_values
 from ndob_fmu.log.fit.pace import rates_for
@@ -130,7 +131,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         setup = setup.with_values({**as_given, **raised})
     warnings += [f"{name} is raised to {value:.3g}, because the log shows more" for name, value in raised.items()]
     setup, best, maps = _with_maps(setup.with_values(as_told(parameters)), run, best)
-    warnings += maps.warnings
+    warnings += [*maps.warnings, *said_of_residuals(setup.equations.outputs, best.residuals)]
     noise_std = _noise_std(setup, best)
     found = {
         **given,
