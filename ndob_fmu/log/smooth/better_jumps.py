@@ -2,7 +2,7 @@
 
 A search that adds and gives up one event at a time ends where two events explain about what one at another instant
 does, and where a jump stands beside its instant. So a jump, or a close pair, is taken away, and the best one near it
-takes its place where the record is then more likely.
+takes its place where the record is then more likely. A pair that goes there and back is no jump in two parts.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ def with_better_jumps(record: Filtered, columns: Jumps, spacing: int, first: int
             best = max(best, other, key=lambda one: one.value)
     for one, other_one in pairwise(sorted(best.events.jumps.items())):
         both_there = {one, other_one} <= {*best.events.jumps.items()}
-        if other_one[0] - one[0] <= _CLOSE * spacing and both_there:
+        are_close = other_one[0] - one[0] <= _CLOSE * spacing
+        if are_close and both_there and _change(columns, one, found) @ _change(columns, other_one, found) > 0.0:
             without = with_events(record, columns, _without(best.events, one, other_one))
             rows = slice(max(one[0] - spacing, first), other_one[0] + spacing + 1)
             told = without.adjoint.of_state[rows], without.adjoint.of_state_variance[rows]
@@ -75,6 +76,13 @@ def _moves(columns: Jumps, spacing: int, first: int, found: Explained) -> Iterat
         explains = 0.5 * (s @ np.linalg.solve(left, s) + np.linalg.slogdet(left)[1])
         if better != jump and gained > explains - Events(dict([jump])).costs + _GAIN:
             yield jump, better
+
+
+def _change(columns: Jumps, jump: Jump, found: Explained) -> Array:
+    """Return the change (N,) of ξ that the record tells of a jump."""
+    k, in_step = jump
+    each = columns.of(k, in_step)
+    return np.asarray(each @ (each.T @ found.adjoint.of_state[k]))
 
 
 def _left(one: Source, variance: Array) -> Array:
