@@ -18,6 +18,8 @@ Event = tuple[int, int | None]
 _ROWS_OF_A_CHANGE = 100
 # What is left of I − M where events that explain the same are taken away, at least, to be more than rounding errors.
 _LEAST_LEFT = 1e-6
+# An event that leaves less than this of a variance is told so well that the scores without it are rounding errors.
+_LEAST_TO_TAKE_AWAY = 1e-8
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,9 @@ class EventScores:
         """Take away events, then add new ones; return the rows of which the scores change."""
         if (len(self._effects) + len(gone) + len(new)) * _ROWS_OF_A_CHANGE > len(self.of_state):
             self.are_known = False
+        if any(np.linalg.eigvalsh(self.known[which].left)[0] < _LEAST_TO_TAKE_AWAY for which in gone):
+            self.are_known = False
+        if not self.are_known:
             return np.zeros(0, dtype=np.intp)
         if not self._effects:  # so far the scores are those that were found
             self.of_state, self.of_state_variance = self.of_state.copy(), self.of_state_variance.copy()
