@@ -147,19 +147,26 @@ class SampledObserverState:
     memory: FilterMemory
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a sum that is not finite tells what it is here for
 def is_possible(memory: FilterMemory) -> bool:
     """Return whether numbers in the form of a memory can be one."""
     jumps, lagged = memory.jumps, memory.lagged
-    vectors = np.concatenate([memory.past, memory.past_age, lagged.age, lagged.value, lagged.variance])
+    arrays = (
+        memory.columns.values,
+        memory.past,
+        memory.past_age,
+        lagged.age,
+        lagged.value,
+        lagged.variance,
+        lagged.signatures,
+        jumps.sizes,
+        jumps.misfit,
+    )
     return bool(
-        np.isfinite(memory.columns.values).all()
-        and np.isfinite(vectors).all()
-        and np.isfinite(lagged.signatures).all()
-        and np.isfinite(jumps.sizes).all()
-        and np.isfinite(jumps.misfit).all()
-        and (jumps.misfit >= 0.0).all()
-        and (lagged.variance >= 0.0).all()
-        and (jumps.log_weight < inf).all()
+        all(_is_finite(each) for each in arrays)
+        and jumps.misfit.min() >= 0.0
+        and lagged.variance.min(initial=0.0) >= 0.0
+        and jumps.log_weight.max() < inf
         and jumps.newest_age >= 0.0
         and 0.0 <= jumps.rate <= 1.0
         and all(map(_is_possible_sensor, memory.sensors))
@@ -169,6 +176,11 @@ def is_possible(memory: FilterMemory) -> bool:
         and memory.age >= 0
         and memory.steady >= 0
     )
+
+
+def _is_finite(numbers: Array) -> bool:
+    """Return whether numbers are finite and their sum is, too: one pass without another array."""
+    return isfinite(float(numbers.sum()))
 
 
 def _is_possible_sensor(sensor: SensorMemory) -> bool:
