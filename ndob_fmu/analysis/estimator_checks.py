@@ -19,14 +19,14 @@ from ndob_fmu.analysis.row_parts import relative_degrees as degrees_row
 from ndob_fmu.analysis.separable import separability_rows
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import DesignError, some_of
-from ndob_fmu.model.model import Model
+from ndob_fmu.model.model import NO_EXPERIMENT, Model
 from ndob_fmu.runtime.design.lumping import lumped
 from ndob_fmu.runtime.design.minimum_phase import margins_of
 from ndob_fmu.runtime.design.operating_point import tangent_at
 from ndob_fmu.runtime.design.pace import pace_of, pace_warnings
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.design.tuning import predicted_error
-from ndob_fmu.runtime.equations import Equations, Experiment
+from ndob_fmu.runtime.equations import Equations
 from ndob_fmu.runtime.numerics.zeros import AXIS_TOLERANCE, Balanced, balance, pencil_zeros
 from ndob_fmu.runtime.step.channel_observer import VANISHING
 from ndob_fmu.runtime.step.preparation import linearised
@@ -302,5 +302,5 @@ def _pace(model: Model, parameters: Mapping[str, float] | None) -> CheckRow:
     values = {"slowest": pace.slowest, "fastest": pace.fastest, "disturbance": pace.disturbance, "warnings": warnings}
     untold = ", as the model has no experiment=Experiment(stop_time=..., step_size=...)"
     measured = f"{plant}, disturbance {disturbance} rad/s, step {model.experiment.step_size:g} s"
-    measured += untold if model.experiment == Experiment() else ""
+    measured += untold if model.experiment is NO_EXPERIMENT else ""
     return CheckRow("pace", True, "for information", "; warning: ".join([measured, *warnings]), values=values)

@@ -66,7 +66,7 @@ def largest_slope(model: Model, parameters: Mapping[str, float] | None = None) -
 def _starts(model: Model, names: list[str], low: Array, high: Array) -> Array:
     """Return 0, x₀ and x̂₀ with inputs of 0 as points (3, len(names)), the nearest ones in the region."""
     n = len(model.states)
-    starts = ((0.0,) * n, tuple(model.x0 or ()), tuple(model.xhat0 or ()))
+    starts = ((0.0,) * n, model.x0, model.xhat0)
     points = [[start[model.states.index(s)] if s in model.states else 0.0 for s in names] for start in starts]
     return np.asarray(np.clip(np.array(points).reshape(len(starts), -1), low, high))
 

@@ -66,15 +66,15 @@ def working_region(model: Model) -> Region:
 
 
 def _farthest(model: Model) -> list[float]:
-    starts = zip(model.x0 or (), model.xhat0 or (), strict=True)
+    starts = zip(model.x0, model.xhat0, strict=True)
     return [max(_FARTHEST, _FARTHEST * abs(x0), _FARTHEST * abs(xhat0)) for x0, xhat0 in starts]
 
 
 def _visited(model: Model) -> Iterator[list[float]]:
     """Yield states (n,): the start values, and those of the default experiment as far as it can be run."""
-    yield list(model.x0 or ())
+    yield list(model.x0)
     for sign in (0.0, 1.0, -1.0):
-        yield [x + sign * std for x, std in zip(model.xhat0 or (), model.xhat0_std or (), strict=True)]
+        yield [x + sign * std for x, std in zip(model.xhat0, model.xhat0_std, strict=True)]
     looked_at = {symbol.name for symbol in model.vector_field.not_linear} & {*model.states}
     if looked_at <= {*model.ranges}:
         return

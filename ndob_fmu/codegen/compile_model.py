@@ -49,7 +49,7 @@ def compile_model(model: Model) -> Equations:
             f"{model.name} at its start values",
             expected=f"{_evaluated(equations)} that can be evaluated",
             received=f"{type(error).__name__}: {error}",
-            likely="a division by zero or a root of a negative number (x0 and xhat0 are 0 where they are not told), "
+            likely="a division by zero or a root of a negative number (x0 is 0 where it is not told), "
             "or a SymPy function without a Python form",
         ) from error
     return equations

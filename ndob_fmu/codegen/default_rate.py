@@ -6,13 +6,14 @@ where the plant starts. Integrators have no pace. A plant of integrators alone t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import pi
 from typing import Any, Protocol
 
 import numpy as np
 
 from ndob_fmu.codegen.print_python import IMPORTS
-from ndob_fmu.model.checks import require_bounds
+from ndob_fmu.model.defaults import read_rate
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.operating_point import driven_modes, middle_input
 from ndob_fmu.runtime.numerics.zeros import ComplexArray
@@ -34,12 +35,11 @@ def disturbance_rate(model: Model, texts: Texts) -> tuple[float, ...]:
 
     texts: of the model's functions
     """
-    told = model.observer.disturbance_rate
-    bound: tuple[float, ...] = tuple(model.disturbance_bound)  # type: ignore[arg-type]
-    if told is None:
-        order = max(model.observer.disturbance_order, 1)
-        return tuple(value * _pace(model, texts) ** order for value in bound)
-    return require_bounds(f"{model.name}.observer.disturbance_rate", told, len(bound))
+    told, order = model.observer.disturbance_rate, max(model.observer.disturbance_order, 1)
+    rate: Any = {} if told is None else told
+    complete = not isinstance(rate, Mapping) or {*model.disturbances} <= {*rate}
+    pace = 0.0 if complete else _pace(model, texts)
+    return read_rate(model.name, model.disturbances, rate, [bound * pace**order for bound in model.disturbance_bound])
 
 
 def _pace(model: Model, texts: Texts) -> float:

@@ -28,7 +28,7 @@ class OutputDiagnosis:
     correlation (LAGS,): of residuals one sample apart, two, …; 0 is right
     correlation_band: how far they may be from 0 by chance
     refused: share of the samples that were refused
-    noise_factor: the noise that the residuals show, over the noise_std that was told
+    noise_factor: the noise that the residuals show on average, over the noise_std that was told
     """
 
     samples: int
@@ -52,7 +52,7 @@ class OutputDiagnosis:
                 f"{output}: {100.0 * self.refused:.1f} % of the samples were refused; look at them in result.csv for "
                 "outliers and a sensor that sticks"
             )
-        noise_is_wrong = not 1.0 / _NOISE < self.noise_factor < _NOISE
+        noise_is_wrong = not 1.0 / _NOISE < self.noise_factor < _NOISE or self._noise_explains_size
         # Noise does not follow itself: told a larger one, the observer would take the model's error for noise.
         if noise_is_wrong and not (self.noise_factor > 1.0 and self._follow_one_another):
             factor = max(self.noise_factor, 1.0 / self.noise_factor)
@@ -61,6 +61,21 @@ class OutputDiagnosis:
             how = f"about {factor:.1f} ×" if factor < _ANY_FACTOR else "far"
             yield f"noise_std of {output} is {how} too {size}: the residuals show {better}"
         yield from self._of_disturbance(output)
+
+    @property
+    def _noise_explains_size(self) -> bool:
+        """Whether residuals of a wrong size have it because the noise has another: within what is worth a change."""
+        ratio = self.noise_factor**2
+        too_small, too_large = ratio <= self.size * _SIZE, ratio * _SIZE >= self.size
+        return (self._is_small and too_small) or (self._is_large and too_large)
+
+    @property
+    def _is_small(self) -> bool:
+        return self.size < 1.0 / _SIZE - self.size_band
+
+    @property
+    def _is_large(self) -> bool:
+        return self.size > _SIZE + self.size_band
 
     @property
     def _follow_one_another(self) -> bool:
@@ -73,12 +88,14 @@ class OutputDiagnosis:
                 "(`ndob-fmu fit --free`), the disturbance moves faster than disturbance_rate says, or the model lacks "
                 "something"
             )
-        elif self.size > _SIZE + self.size_band:
+        elif self._noise_explains_size:
+            return  # the verdict on the noise says what to change
+        elif self._is_large:
             yield (
                 f"{output}: residuals are {self.size**0.5:.1f} × as large as predicted; the disturbance is larger or "
                 "faster than disturbance_bound and disturbance_rate say, or the model lacks something"
             )
-        elif self.size < 1.0 / _SIZE - self.size_band:
+        elif self._is_small:
             yield (
                 f"{output}: residuals are {self.size**0.5:.2f} × as large as predicted; the disturbance is slower than "
                 "disturbance_rate says: a lower rate gives a calmer estimate with a narrower band"
@@ -93,7 +110,7 @@ class ResidualTally:
         self._rows = np.empty((0, outputs))
         self._counts, self._products = np.zeros((LAGS + 1, outputs)), np.zeros((LAGS + 1, outputs))
         self._measured, self._refused = np.zeros(outputs), np.zeros(outputs)
-        self._ratio = np.ones(outputs)
+        self._ratios, self._steps = np.zeros(outputs), 0
 
     def add(self, stretch: Stretch) -> None:
         """Count a stretch; those before it must have been added."""
@@ -101,8 +118,9 @@ class ResidualTally:
         usable = np.where(said.refused > 0.0, np.nan, said.residual / said.residual_std)
         self._measured += np.isfinite(said.residual).sum(axis=0)
         self._refused += ((said.refused > 0.0) & np.isfinite(said.residual)).sum(axis=0)
-        self._ratio = said.noise_ratio[-1]
         left_out = min(self._start, len(usable))
+        self._ratios += said.noise_ratio[left_out:].sum(axis=0)
+        self._steps += len(usable) - left_out
         self._start -= left_out
         usable[:left_out] = np.nan
         known = len(self._rows)
@@ -117,6 +135,7 @@ class ResidualTally:
     def diagnoses(self) -> Sequence[OutputDiagnosis]:
         """Return the diagnosis of each output."""
         mean = self._products / np.maximum(self._counts, 1.0)
+        ratio = self._ratios / self._steps if self._steps else np.ones(len(self._ratios))
         return [
             OutputDiagnosis(
                 samples=int(count),
@@ -125,7 +144,7 @@ class ResidualTally:
                 correlation=mean[1:, i] / mean[0, i] if mean[0, i] > 0.0 else np.zeros(LAGS),
                 correlation_band=2.0 / max(count, 1.0) ** 0.5,
                 refused=float(self._refused[i] / max(self._measured[i], 1.0)),
-                noise_factor=float(self._ratio[i] ** 0.5),
+                noise_factor=float(ratio[i] ** 0.5),
             )
             for i, count in enumerate(self._counts[0].tolist())
         ]

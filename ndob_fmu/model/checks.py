@@ -206,6 +206,11 @@ def by_name(where: str, value: Any, names: Sequence[str], default: Sequence[floa
     return (value,) * len(names)
 
 
+def listed(where: str, value: Any, names: Sequence[str], default: Sequence[float]) -> Any:
+    """Return a mapping as the values of the names in their order, all else as it is."""
+    return by_name(where, value, names, default) if isinstance(value, Mapping) else value
+
+
 def for_each(count: int, value: Any) -> Any:
     """Return one number as a list of `count` equal ones, all else as it is."""
     return [value] * count if is_finite_number(value) else value

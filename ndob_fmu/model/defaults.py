@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from ndob_fmu.errors import ModelError, nearest, one_of
-from ndob_fmu.model.checks import is_finite_number, require_bounds, require_finite, require_not_negative
+from ndob_fmu.model.checks import is_finite_number, listed, require_bounds, require_finite, require_not_negative
 from ndob_fmu.runtime.blocks.disturbance import KINDS
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Experiment, ObserverDefaults, SignalDefaults
 
 
 def require_defaults(
-    model: str, disturbances: int, observer: ObserverDefaults, signal: SignalDefaults, experiment: Experiment
+    model: str, disturbances: Sequence[str], observer: ObserverDefaults, signal: SignalDefaults, experiment: Experiment
 ) -> None:
     """Require start values that the FMUs can take.
 
     model: its name, for the messages
-    disturbances: q2, their number
+    disturbances: their names, (q2,)
 
     Raises ModelError.
     """
@@ -30,7 +30,7 @@ def require_defaults(
     for name in ("lag", "pi_ramp_time"):
         require_not_negative(f"{of_observer}.{name}", getattr(observer, name))
     if observer.disturbance_rate is not None:
-        require_bounds(f"{of_observer}.disturbance_rate", observer.disturbance_rate, disturbances)
+        read_rate(model, disturbances, observer.disturbance_rate, (0.0,) * len(disturbances))
     if signal.kind not in KINDS:
         raise ModelError.report(
             f"{model}.disturbance.kind",
@@ -42,6 +42,12 @@ def require_defaults(
         require_finite(f"{model}.disturbance.{name}", getattr(signal, name))
     for name in ("stop_time", "step_size"):
         _require_positive(f"{model}.experiment.{name}", getattr(experiment, name), " (s)")
+
+
+def read_rate(model: str, disturbances: Sequence[str], told: object, default: Sequence[float]) -> tuple[float, ...]:
+    """Return the bound of the r-th derivative of each disturbance; one that is told by name may be left out."""
+    where = f"{model}.observer.disturbance_rate"
+    return require_bounds(where, listed(where, told, disturbances, default), len(disturbances))
 
 
 def _require_one_of(where: str, value: object, allowed: Collection[object], expected: str) -> None:

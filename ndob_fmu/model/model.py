@@ -23,6 +23,7 @@ from ndob_fmu.model.affine_split import AffineSplit, with_known_part
 from ndob_fmu.model.checks import (
     by_name,
     for_each,
+    listed,
     require_bounds,
     require_distinct_names,
     require_finite,
@@ -43,6 +44,7 @@ from ndob_fmu.model.reading import MATRIX_FORM, read_dynamics, read_matrices, re
 from ndob_fmu.model.vector_field import VectorField
 from ndob_fmu.runtime.equations import Experiment, ObserverDefaults, SignalDefaults, lumped_names
 
+NO_EXPERIMENT = Experiment()  # of a model that tells none
 # What a user may say by name, or with one number for all: of which group of names, and what holds for the others.
 SAID_BY_NAME = {
     "noise_std": ("outputs", 1e-4),
@@ -73,7 +75,8 @@ class Model:
     lipschitz: γ of eq. (3)
     ranges: where the plant works, {state or input: (lowest, highest)}. γ and the checks look only there, and the
         observer evaluates the equations only there
-    disturbance_bound: D₀, one number or one for each disturbance: the bound of |d − nominal|
+    disturbance_bound: D₀, one number, one for each disturbance or {disturbance: D₀}: the bound of |d − nominal|; 1 by
+        default
     disturbance_nominal: value about which d is small, likewise; 0 by default
     noise_std: standard deviation of the noise in a sample of an output, in its unit: {output: σ} or one number for all;
         1e-4 where it is not given, 0 for no noise
@@ -82,9 +85,9 @@ class Model:
     parameter_std: one-sigma uncertainty of a parameter, {parameter: σ}, in its unit; 0 where it is known
     state_noise: intensity of white noise on the derivative of a state, {state: σ}, a standard deviation per √s; 0 for
         none
-    x0, xhat0: start values of the plant and of its estimate, (n,)
-    xhat0_std: standard deviation of the error of xhat0, (n,); by default |x0 − xhat0|, and where that is 0, that of a
-        number anywhere in the state's range; 1 without a range
+    x0, xhat0: start values of the plant and of its estimate, (n,) or {state: value}; by default 0, and x0
+    xhat0_std: standard deviation of the error of xhat0, likewise; by default |x0 − xhat0|, and where that is 0, that of
+        a number anywhere in the state's range. Without a range |xhat0|, and where that is 0, too, 1
     observer, disturbance, experiment: start values of the FMUs
     channel: n(x, u, p) returns k SymPy expressions, the direction in which the one disturbance acts
     channel_bound: bound of each |n_j|, one number or k; 1 by default
@@ -114,25 +117,25 @@ class Model:
     descriptions: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
     lipschitz: float | None = None
-    disturbance_bound: float | Sequence[float] = 1.0
+    disturbance_bound: Any = 1.0
     noise_std: float | Mapping[str, float] = SAID_BY_NAME["noise_std"][1]
     delay: float | Mapping[str, float] = 0.0
     bias_std: float | Mapping[str, float] = 0.0
     parameter_std: float | Mapping[str, float] = 0.0
     state_noise: float | Mapping[str, float] = 0.0
-    x0: Sequence[float] | None = None
-    xhat0: Sequence[float] | None = None
-    xhat0_std: Sequence[float] | None = None
+    x0: Any = None
+    xhat0: Any = None
+    xhat0_std: Any = None
     observer: ObserverDefaults = field(default_factory=ObserverDefaults)
     disturbance: SignalDefaults = field(default_factory=SignalDefaults)
-    experiment: Experiment = field(default_factory=Experiment)
+    experiment: Experiment = NO_EXPERIMENT
     channel: Nonlinearity | None = None
     channel_bound: float | Sequence[float] | None = None
     channel_rate: float = 0.0
     dynamics: Function | None = None
     output_equations: Mapping[str, Any] | None = field(default=None, repr=False)
     ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    disturbance_nominal: float | Sequence[float] = 0.0
+    disturbance_nominal: Any = 0.0
     disturbance_map: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     maps: tuple[DisturbanceMap, ...] = field(init=False, repr=False)
     parts: AffineSplit = field(init=False, repr=False)
@@ -141,10 +144,10 @@ class Model:
         self._check_names()
         self._read_equations()
         self._check_numbers()
-        starts = {name: both for name, *both in zip(self.states, self.x0 or (), self.xhat0 or (), strict=True)}
+        starts = {name: both for name, *both in zip(self.states, self.x0, self.xhat0, strict=True)}
         self._set("ranges", require_ranges(f"{self.name}.ranges", self.ranges, starts, self.inputs))
-        unsaid = tuple(abs(x0 - xhat0) or self._spread(name) for name, (x0, xhat0) in starts.items())
-        self._set("xhat0_std", self._numbers("xhat0_std", self.xhat0_std, unsaid, positive=True))
+        unsaid = tuple(abs(x0 - xhat0) or self._spread(name, xhat0) for name, (x0, xhat0) in starts.items())
+        self._set("xhat0_std", self._numbers("xhat0_std", self.states, unsaid, positive=True))
         for row, name in enumerate(self.outputs):
             state = self.symbols[name] if name in self.states else None
             if state is not None and (self.vector_field.outputs[row] - state).is_zero is not True:
@@ -308,14 +311,14 @@ class Model:
 
     def _check_numbers(self) -> None:
         n, q, k = len(self.states), len(self.disturbances), len(self.channel_expressions)
-        for vector in ("x0", "xhat0"):
-            self._set(vector, self._numbers(vector, getattr(self, vector), (0.0,) * n))
-        self._set(
-            "disturbance_bound",
-            require_bounds(f"{self.name}.disturbance_bound", self.disturbance_bound, q, positive=True),
-        )
-        nominal = for_each(q, self.disturbance_nominal)
-        self._set("disturbance_nominal", self._numbers("disturbance_nominal", nominal, (0.0,) * q))
+        # The estimate starts where the plant does: at 0 K or 0 Pa few plants have a slope.
+        self._set("x0", self._numbers("x0", self.states, (0.0,) * n))
+        self._set("xhat0", self._numbers("xhat0", self.states, self.x0))
+        where = f"{self.name}.disturbance_bound"
+        bound = listed(where, self.disturbance_bound, self.disturbances, (1.0,) * q)
+        self._set("disturbance_bound", require_bounds(where, bound, q, positive=True))
+        self._set("disturbance_nominal", for_each(q, self.disturbance_nominal))
+        self._set("disturbance_nominal", self._numbers("disturbance_nominal", self.disturbances, (0.0,) * q))
         for label in SAID_BY_NAME:
             value = getattr(self, label)
             self._set(label, MappingProxyType(dict(value)) if isinstance(value, Mapping) else value)
@@ -327,21 +330,23 @@ class Model:
             )
         if self.lipschitz is not None:
             require_not_negative(f"{self.name}.lipschitz", self.lipschitz)
-        require_defaults(self.name, q, self.observer, self.disturbance, self.experiment)
+        require_defaults(self.name, self.disturbances, self.observer, self.disturbance, self.experiment)
 
-    def _spread(self, state: str) -> float:
-        """Return the standard deviation of a number anywhere in the range of a state, 1 without a range."""
+    def _spread(self, state: str, start: float) -> float:
+        """Return the standard deviation of a number anywhere in the range of a state, or else of the start's size."""
         if state not in self.ranges:
-            return 1.0
+            return abs(start) or 1.0
         low, high = self.ranges[state]
         return float((high - low) / np.sqrt(12.0))
 
     def _numbers(
-        self, label: str, value: Any, default: tuple[float, ...], *, positive: bool = False
+        self, label: str, names: Sequence[str], default: tuple[float, ...], *, positive: bool = False
     ) -> tuple[float, ...]:
+        """Return a field as one number for each name."""
+        where, value = f"{self.name}.{label}", getattr(self, label)
         if value is None:
             return default
-        return require_numbers(f"{self.name}.{label}", value, len(default), positive=positive)
+        return require_numbers(where, listed(where, value, names, default), len(names), positive=positive)
 
 
 def require_model(value: object) -> None:

@@ -424,8 +424,12 @@ def test_an_f_with_no_lipschitz_constant_at_all_fails(f):
 
 
 def test_a_start_without_slopes_is_refused_before_the_observer_fails_there():
-    with pytest.raises(DesignError, match=r"Slope, linearised at its start values: .*xhat0 is 0 where it is not told"):
-        check(one_state_model(lambda x, u, p: [sympy.sqrt(x.level)], x0=[1.0, 0.0]))
+    with pytest.raises(DesignError, match=r"Slope, linearised at its start values: .*x0 is 0 where it is not told"):
+        check(one_state_model(lambda x, u, p: [sympy.sqrt(x.level)]))
+
+
+def test_the_start_of_the_plant_is_enough_to_linearise_there():
+    assert check(one_state_model(lambda x, u, p: [sympy.sqrt(x.level)], x0=[1.0, 0.0]))["detectable"].passed
 
 
 def test_a_linear_plant_has_no_gamma_to_check():

@@ -1,5 +1,7 @@
 """How fast the disturbance is taken to be, and what is said where that or the step is absurd for the plant."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,8 +113,18 @@ def test_a_step_is_not_too_short_for_a_disturbance_that_is_fast():
     assert not any("take longer steps" in text for text in design(model, step_size=1e-3).warnings)
 
 
-def test_check_says_which_field_sets_the_step_where_a_model_has_none():
-    told, untold = lags(3.0, 3.0, experiment=Experiment(step_size=0.01)), lags(3.0, 3.0, experiment=Experiment())
+def test_check_says_which_field_sets_the_step_where_a_model_has_none_and_only_there():
+    told, untold = lags(3.0, 3.0, experiment=Experiment(10.0, 1e-3)), lags(3.0, 3.0)
     assert "step 0.001 s, as the model has no experiment=Experiment(stop_time=..., step_size=...)" in str(check(untold))
-    assert "step 0.01 s" in str(check(told))
+    assert "step 0.001 s" in str(check(told))
     assert "experiment=" not in str(check(told))
+    assert "experiment=" not in str(check(replace(told, description="told")))
+
+
+def test_a_rate_is_told_by_name_and_the_disturbance_that_is_not_named_is_as_fast_as_the_plant():
+    two = {"disturbances": ["d", "e"], "G_d": [[0, 1.0], [3.0, 0]]}
+    own, named = (
+        compile_model(lags(3.0, 3.0, **two, observer=ObserverDefaults(alpha=1e-3, disturbance_rate=rate)))
+        for rate in (None, {"e": 80.0})
+    )
+    assert named.disturbance_rate == (own.disturbance_rate[0], 80.0)

@@ -110,6 +110,18 @@ def test_residuals_that_follow_one_another_are_not_called_noise():
     assert line == "noise_std of place is about 20.0 × too small: the residuals show 0.02 m"
 
 
+@pytest.mark.parametrize(("factor", "size", "says"), [(0.8, "large", "1.2"), (1.25, "small", "1.2")])
+def test_residuals_as_small_or_large_as_the_noise_makes_them_are_not_laid_on_the_disturbance(factor, size, says):
+    (line,) = diagnosis(noise_factor=factor, size=factor**2.0 if factor < 1.0 else 1.5).verdicts("rate", 0.01, "rad/s")
+    assert line == f"noise_std of rate is about {says} × too {size}: the residuals show {0.01 * factor:.2g} rad/s"
+
+
+@pytest.mark.parametrize(("found", "says"), [(0.3, "slower than"), (2.0, "larger or faster than")])
+def test_residuals_that_noise_alone_does_not_explain_are_laid_on_the_disturbance(found, says):
+    (line,) = diagnosis(noise_factor=1.0, size=found).verdicts("rate", 0.01, "rad/s")
+    assert says in line
+
+
 def test_a_factor_without_meaning_is_not_shown():
     (line,) = diagnosis(noise_factor=2e6).verdicts("place", 1e-9, "m")
     assert line == "noise_std of place is far too small: the residuals show 0.002 m"

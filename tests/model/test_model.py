@@ -91,15 +91,36 @@ def test_a_plant_without_inputs_and_without_f_is_a_plant():
     assert compile_model(model).nonlinearity((1.0,) * 4, (), ()) == ()
 
 
-def test_start_values_are_zero_unless_given():
+def test_the_plant_starts_at_zero_unless_told_and_the_estimate_where_the_plant_does():
     model = plant(xhat0=[1, 2, 3, 4])
     assert (model.x0, model.xhat0) == ((0.0,) * 4, (1.0, 2.0, 3.0, 4.0))
+    assert plant(x0=[1, 2, 3, 4]).xhat0 == (1.0, 2.0, 3.0, 4.0)
+    assert plant().xhat0 == (0.0,) * 4
 
 
 def test_the_start_is_as_uncertain_as_its_two_values_differ_or_else_as_the_state_can_vary():
-    model = plant(x0=[1.0, 0.0, 0.0, 0.0], ranges={"a": (-5.0, 5.0), "b": (-1e-5, 2e-5)})
+    model = plant(x0=[1.0, 0, 0, 0], xhat0=[0.0] * 4, ranges={"a": (-5.0, 5.0), "b": (-1e-5, 2e-5)})
     assert model.xhat0_std == pytest.approx((1.0, 3e-5 / np.sqrt(12.0), 1.0, 1.0))
     assert plant(ranges={"b": (-1.0, 1.0)}, xhat0_std=[2.0] * 4).xhat0_std == (2.0,) * 4
+
+
+def test_a_start_without_a_range_is_as_uncertain_as_it_is_large_in_whatever_unit():
+    assert plant(x0=[350.0, -2e5, 4e-3, 0.0]).xhat0_std == (350.0, 2e5, 4e-3, 1.0)
+
+
+def test_one_number_for_each_name_can_be_told_by_the_names():
+    model = plant(x0={"b": 5}, xhat0={"b": 4, "c": 3}, xhat0_std={"b": 9})
+    assert (model.x0, model.xhat0, model.xhat0_std) == ((0, 5, 0, 0), (0, 4, 3, 0), (1, 9, 3, 1))
+    two = {"disturbances": ["wind", "load"], "G_d": [[0, 0], [1, 0], [0, 1], [0, 0]], "f": None, "G_f": None}
+    model = plant(**two, disturbance_bound={"load": 3}, disturbance_nominal={"load": 7})
+    assert (model.disturbance_bound, model.disturbance_nominal) == ((1, 3), (0, 7))
+
+
+@pytest.mark.parametrize("label", ["x0", "xhat0", "xhat0_std", "disturbance_bound", "disturbance_nominal"])
+def test_a_name_that_is_none_of_those_of_a_field_is_refused(label):
+    says = refused(**{label: {"speed": 1.0}})
+    assert says.startswith(f"Plant.{label}: expected ")
+    assert says.endswith("received 'speed'")
 
 
 def test_parameters_enter_matrices_under_their_names_and_can_be_replaced():

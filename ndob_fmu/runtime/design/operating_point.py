@@ -56,7 +56,7 @@ def require_tangent(equations: Equations, parameters: Vector, x_hat: Vector) -> 
             f"{equations.name}, linearised at its start values",
             expected="finite slopes of the derivatives and outputs",
             received="some that cannot be evaluated",
-            likely="a root or a quotient of 0; start elsewhere (xhat0 is 0 where it is not told), or tell the ranges "
+            likely="a root or a quotient of 0; start elsewhere (x0 is 0 where it is not told), or tell the ranges "
             "where the plant works",
         )
     return found
