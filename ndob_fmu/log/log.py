@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from ndob_fmu.runtime.arrays import Array
+
+_OVERWRITTEN = 0.01  # of the rows: single ones are a logger's repetitions
 
 
 @dataclass(frozen=True)
@@ -13,23 +15,30 @@ class Found:
 
     rows: of the file
     merged: rows with the time of the row before, whose samples were added to it
+    overwritten: merged rows with another sample of an output that the row before has, too
     missing_inputs: entries of inputs that were held from the row before
     missing_samples: entries of outputs that were not measured
     """
 
     rows: int = 0
     merged: int = 0
+    overwritten: int = 0
     missing_inputs: int = 0
     missing_samples: int = 0
 
     def __add__(self, other: Found) -> Found:
         """Return the counts of both."""
-        return Found(
-            self.rows + other.rows,
-            self.merged + other.merged,
-            self.missing_inputs + other.missing_inputs,
-            self.missing_samples + other.missing_samples,
-        )
+        return Found(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(Found)))
+
+    @property
+    def warnings(self) -> list[str]:
+        """What in the rows cannot be meant so, one line each."""
+        if self.overwritten <= _OVERWRITTEN * self.rows:
+            return []
+        return [
+            f"{self.overwritten} of {self.rows} rows have the time of the row before and other samples, of which only "
+            "the last ones count: the times have too few digits, or the file holds several logs"
+        ]
 
 
 @dataclass(frozen=True)

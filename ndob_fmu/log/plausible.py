@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ndob_fmu.log.log import Log
+from ndob_fmu.log.log import Found, Log
 from ndob_fmu.log.online import Stretch, usual_step
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.pace import Pace, pace_of, pace_warnings
@@ -40,6 +40,7 @@ class Plausibility:
         self._least, self._most = np.full(count, np.inf), np.full(count, -np.inf)
         self._rows, self._beyond, self._largest = 0, np.zeros(len(bound)), np.zeros(len(bound))
         self._start: list[str] = []
+        self._found = Found()
 
     def blocks(self, blocks: Iterator[Log]) -> Iterator[Log]:
         """Yield the blocks of a log, counted."""
@@ -50,6 +51,7 @@ class Plausibility:
             with np.errstate(invalid="ignore"):  # a range without an end has no width
                 width = _WIDTHS * (self._high - self._low)
                 outside = (rows < self._low - width) | (rows > self._high + width)
+            self._found += block.found
             self._outside += outside.sum(axis=0)
             self._seen += np.isfinite(rows).sum(axis=0)
             self._least = np.fmin(self._least, np.fmin.reduce(rows, axis=0))
@@ -77,7 +79,7 @@ class Plausibility:
 
     def warnings(self) -> list[str]:
         """Return what does not look like the model's signals, one line each."""
-        found = []
+        found = self._found.warnings
         for i, name in enumerate(self._names):
             if not self._seen[i]:
                 if name in self._eq.outputs:

@@ -47,8 +47,8 @@ def read_log(path: str | Path, signals: Signals, block: int = BLOCK) -> Iterator
         following = next(blocks, None)
         _require_times(where, rows[:, 0], first, float(kept[-1, 0]) if len(kept) else -inf)
         first += len(rows)
-        merged = _merged(np.concatenate([kept, rows]))
-        count += Found(rows=len(rows), merged=len(kept) + len(rows) - len(merged))
+        merged, overwritten = _merged(np.concatenate([kept, rows]), 1 + len(signals.inputs))
+        count += Found(len(rows), len(kept) + len(rows) - len(merged), overwritten)
         # The next block may begin with another row of the last time.
         is_last = following is None and (len(merged) > 1 or held is not None)
         done, kept = (merged, merged[:0]) if is_last else (merged[:-1], merged[-1:])
@@ -78,15 +78,20 @@ def _require_times(where: str, times: Array, first: int, before: float) -> None:
         )
 
 
-def _merged(rows: Array) -> Array:
-    """Return rows of different times: those of one time have the last number of each column."""
+def _merged(rows: Array, first_output: int) -> tuple[Array, int]:
+    """Return rows of different times, and how many rows had another number of an output than one of the same time.
+
+    Those of one time have the last number of each column.
+    """
     starts = np.flatnonzero(np.diff(rows[:, 0], prepend=-inf) > 0.0)
     if len(starts) == len(rows):
-        return rows
-    merged = rows[starts]
+        return rows, 0
+    merged, overwritten = rows[starts], 0
     for start, row in zip(np.repeat(np.arange(len(starts)), np.diff(starts, append=len(rows))), rows, strict=True):
-        merged[start] = np.where(np.isfinite(row), row, merged[start])
-    return merged
+        both = np.where(np.isfinite(row), row, merged[start])
+        overwritten += bool(np.any(np.abs(both - merged[start])[first_output:] > 0.0))
+        merged[start] = both
+    return merged, overwritten
 
 
 def _first_inputs(where: str, rows: Array, signals: Signals) -> Array:

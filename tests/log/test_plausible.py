@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ndob_fmu.errors import UsageError
 from ndob_fmu.log.diagnostics import OutputDiagnosis
 from ndob_fmu.log.estimate_log import estimate_log
 from ndob_fmu.log.fit.fit_log import fit_log
@@ -85,6 +86,13 @@ def test_times_in_another_unit_are_named(warnings):
 def test_an_error_says_which_column_is_its_likely_cause(warnings):
     with pytest.raises(IntegrationError, match=r"; likely cause: force goes from"):
         warnings(inputs=1e200 * INPUTS, model=replace(CART, ranges={"force": (-3.0, 3.0)}))
+
+
+def test_times_with_too_few_digits_are_the_first_thing_named(warnings, tmp_path):
+    (line, *_) = warnings(time=np.round(TIME, 1))
+    assert line.startswith("467 of 520 rows have the time of the row before and other samples")
+    with pytest.raises(UsageError, match=r"500 rows of different times .* received 53; likely cause: 467 of 520"):
+        fit_log(CART, tmp_path / "log.csv", tmp_path / "out")
 
 
 def test_an_output_without_samples_is_named(warnings):

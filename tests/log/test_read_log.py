@@ -90,7 +90,24 @@ def test_rows_of_one_time_are_one_sample(tmp_path):
     time, _, outputs, found = whole(written(tmp_path, text))
     assert time.tolist() == [0.0, 1.0]
     assert outputs.tolist() == [[2.0, 3.0], [7.0, 6.0]]
-    assert found == Found(rows=4, merged=2)
+    assert found == Found(rows=4, merged=2, overwritten=1)
+
+
+@pytest.mark.parametrize("block", [3, 1000])
+def test_times_with_too_few_digits_are_named_where_they_leave_samples_out(tmp_path, block):
+    times = np.round(1.7e9 + 0.005 * np.arange(400), 2)
+    found = whole(
+        written(tmp_path, "time,u,y,z\n" + "".join(f"{t:.2f},1,{k},0\n" for k, t in enumerate(times))), block=block
+    )[3]
+    (line,) = found.warnings
+    assert line.startswith(
+        f"{400 - len(set(times.tolist()))} of 400 rows have the time of the row before and other samples"
+    )
+
+
+def test_repeated_rows_and_sensors_that_come_one_after_the_other_leave_no_sample_out(tmp_path):
+    text = "time,u,y,z\n" + "".join(f"{k},1,{k},\n{k},1,,{k}\n{k},2,{k},{k}\n" for k in range(9))
+    assert whole(written(tmp_path, text))[3] == Found(rows=27, merged=18)
 
 
 @pytest.mark.parametrize("block", [1, 2, 3, 7])

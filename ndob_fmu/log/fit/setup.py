@@ -98,7 +98,10 @@ class Setup:
         block = first_block(self.equations, path, names, units)
         if block.rows < _LEAST_ROWS:
             raise UsageError.report(
-                str(path), expected=f"at least {_LEAST_ROWS} rows for a fit", received=str(block.rows)
+                str(path),
+                expected=f"at least {_LEAST_ROWS} rows of different times for a fit",
+                received=str(block.rows),
+                likely="; ".join(block.log.found.warnings),
             )
         begin(f"fitting, part 1 of 5: running the observer along {block.rows} rows")
         observer, found = self._run({**self._first_values, **self.open_offsets(block.log)}, block.log)
