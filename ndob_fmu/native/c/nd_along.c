@@ -10,74 +10,53 @@ static double start_of(int op) {
     return op == ND_ALL_TRUE ? 1.0 : op == ND_LARGEST ? -INFINITY : op == ND_SMALLEST ? INFINITY : 0.0;
 }
 
-static double more_of(int op, double so_far, double x) {
+/* The sum, the largest number, … of a row and what came before it. */
+#define ND_FOLD(op, value)                      \
+    case op:                                    \
+        for (; n > 0; n--, row += step) {       \
+            double x = *row;                    \
+            r = (value);                        \
+        }                                       \
+        return r;
+
+static double folded(int op, double r, int n, const double *row, int step) {
     switch (op) {
-    case ND_SUM: return so_far + x;
-    case ND_ANY: return x != 0.0 ? 1.0 : so_far;
-    case ND_ALL_TRUE: return x != 0.0 ? so_far : 0.0;
-    case ND_NORM: return so_far + x * x;
-    case ND_LARGEST: return x > so_far || nd_is_not_a_number(x) ? x : so_far;
-    default: return x < so_far || nd_is_not_a_number(x) ? x : so_far;
+        ND_FOLD(ND_SUM, r + x)
+        ND_FOLD(ND_ANY, x != 0.0 ? 1.0 : r)
+        ND_FOLD(ND_ALL_TRUE, x != 0.0 ? r : 0.0)
+        ND_FOLD(ND_NORM, r + x * x)
+        ND_FOLD(ND_LARGEST, x > r || nd_is_not_a_number(x) ? x : r)
+        ND_FOLD(ND_SMALLEST, x < r || nd_is_not_a_number(x) ? x : r)
+    default: return r;
     }
 }
 
 double nd_reduced(int op, nd x) {
-    nd_shape3 o;
-    int s[ND_RANK];
     double r = start_of(op);
-    if (x->rank == 1) {
-        for (int i = 0; i < x->n[0]; i++) r = more_of(op, r, x->p[i * x->s[0]]);
-        return op == ND_NORM ? sqrt(r) : r;
-    }
-    nd_shape_of(x, &o);
-    nd_strides_over(x, &o, s);
-    ND_LOOP2(o) {
-        const double *row = ND_ROW(x, s);
-        for (int i = 0; i < o.n[2]; i++) r = more_of(op, r, row[i * s[2]]);
+    if (x->rank == 1) r = folded(op, r, x->n[0], x->p, x->s[0]);
+    else if (nd_is_compact(x)) r = folded(op, r, nd_size(x), x->p, 1);
+    else {
+        nd_shape3 o;
+        int s[ND_RANK];
+        nd_shape_of(x, &o);
+        nd_strides_over(x, &o, s);
+        ND_LOOP2(o) r = folded(op, r, o.n[2], ND_ROW(x, s), s[2]);
     }
     return op == ND_NORM ? sqrt(r) : r;
 }
 
 nd nd_reduce(nd_arena *a, int op, nd x, int axis) {
-    nd_array like = *x;
-    int sr[ND_RANK], sl[ND_RANK], steps;
-    nd_shape3 o;
+    int n[ND_RANK] = {1, 1, 1}, s[ND_RANK] = {0}, rank = 0;
     if (axis < 0) axis += x->rank;
-    for (int i = axis; i + 1 < x->rank; i++) like.n[i] = x->n[i + 1];
-    nd r = nd_full(a, x->rank - 1, like.n, start_of(op));
-    if (x->rank == 2 && op == ND_SUM) {
-        for (int i = 0; i < r->n[0]; i++) {
-            const double *from = x->p + i * x->s[1 - axis];
-            double sum = 0.0;
-            for (int k = 0; k < x->n[axis]; k++) sum += from[k * x->s[axis]];
-            r->p[i] = sum;
+    for (int i = 0; i < x->rank; i++)
+        if (i != axis) n[rank] = x->n[i], s[rank++] = x->s[i];
+    nd r = nd_new(a, rank, n);
+    double *to = r->p;
+    for (int i0 = 0; i0 < n[0]; i0++)
+        for (int i1 = 0; i1 < n[1]; i1++) {
+            double found = folded(op, start_of(op), x->n[axis], x->p + i0 * s[0] + i1 * s[1], x->s[axis]);
+            *to++ = op == ND_NORM ? sqrt(found) : found;
         }
-        return r;
-    }
-    if (x->rank == 2) {
-        for (int i = 0; i < r->n[0]; i++) {
-            const double *from = x->p + i * x->s[1 - axis];
-            double so_far = r->p[i];
-            for (int k = 0; k < x->n[axis]; k++) so_far = more_of(op, so_far, from[k * x->s[axis]]);
-            r->p[i] = op == ND_NORM ? sqrt(so_far) : so_far;
-        }
-        return r;
-    }
-    nd_shape_of(r, &o);
-    steps = x->n[axis];
-    for (int k = 0; k < steps; k++) {
-        nd_array last;
-        nd_slot(&last, x, axis, k);
-        nd_strides_over(r, &o, sr);
-        nd_strides_over(&last, &o, sl);
-        ND_LOOP2(o) {
-            double *to = ND_ROW(r, sr);
-            const double *from = ND_ROW(&last, sl);
-            for (int i = 0; i < o.n[2]; i++) to[i] = more_of(op, to[i], from[i * sl[2]]);
-        }
-    }
-    if (op == ND_NORM)
-        for (int i = 0, size = nd_size(r); i < size; i++) r->p[i] = sqrt(r->p[i]);
     return r;
 }
 

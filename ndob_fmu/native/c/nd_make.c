@@ -1,26 +1,24 @@
 /* Making arrays. */
 #include "nd_loops.h"
 
+static int length_of(int rank, const int *n, int axis) { return axis >= rank ? 1 : n[axis] > 0 ? n[axis] : 0; }
+
 nd nd_new(nd_arena *a, int rank, const int *n) {
-    nd x = nd_take_bytes(a, sizeof *x);
-    int size = 1;
+    int n0 = length_of(rank, n, 0), n1 = length_of(rank, n, 1), n2 = length_of(rank, n, 2);
+    if ((int64_t)n1 * n2 > INT16_MAX) longjmp(*a->full, 1); /* a stride has 16 bits */
+    size_t size = (size_t)n0 * (size_t)(n1 * n2);
+    nd x = nd_take_bytes(a, sizeof *x + sizeof(double) * (size ? size : 1));
     x->p = (double *)(void *)(x + 1);
+    x->n[0] = n0, x->n[1] = n1, x->n[2] = n2;
+    x->s[0] = (int16_t)(n1 * n2), x->s[1] = (int16_t)n2, x->s[2] = 1;
     x->rank = (int16_t)rank;
-    for (int i = ND_RANK - 1; i >= rank; i--) x->n[i] = x->s[i] = 1;
-    for (int i = rank - 1; i >= 0; i--) {
-        int length = n[i] > 0 ? n[i] : 0;
-        x->n[i] = length;
-        x->s[i] = (int16_t)size;
-        if (i && size > INT16_MAX / (length + 1)) longjmp(*a->full, 1); /* a stride has 16 bits */
-        size *= length;
-    }
-    (void)nd_take_bytes(a, sizeof(double) * (size_t)(size ? size : 1));
     return x;
 }
 
 nd nd_full(nd_arena *a, int rank, const int *n, double value) {
     nd x = nd_new(a, rank, n);
-    for (int i = 0, size = nd_size(x); i < size; i++) x->p[i] = value;
+    double *to = x->p;
+    for (int size = nd_size(x); size > 0; size--) *to++ = value;
     return x;
 }
 

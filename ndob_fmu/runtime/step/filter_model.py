@@ -18,7 +18,7 @@ from ndob_fmu.runtime.numerics.units import units_of_inputs
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
 from ndob_fmu.runtime.step.filter_state import SensorMemory
-from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_sizes, signatures_at_sample, signatures_of
+from ndob_fmu.runtime.step.jump_bank import INSTANTS, first_sizes, signatures_at_sample
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.settings import ObserverSettings
 
@@ -157,10 +157,10 @@ class FilterModel:
         return np.flatnonzero(np.array(self.settings.state_noise) + self.undriven > 0.0)
 
     def signatures_in_step(self, responses: Array) -> Array:
-        """Return the signatures (N + past,6 q2) of jumps in a step, for their responses (4,N,q2) at its end."""
+        """Return the signatures (N + past,4 q2) of jumps in a step, for their responses (4,N,q2) at its end."""
         newest = np.zeros((self.rows, self.layout.q * len(INSTANTS)))
         newest[: self.layout.size] = responses.transpose(1, 2, 0).reshape(self.layout.size, -1)
-        return signatures_of(newest)
+        return newest
 
     @property
     def is_linear(self) -> bool:

@@ -84,7 +84,7 @@ class LagMemory:
 
     age (K,): how long ago each was (s); −1 for an empty place.
     value, variance (K q2,): the smoothed disturbance and its variance.
-    signatures (K q2,6 L q2): what jumps of one have added to the error of each; no columns where nobody asks for jumps.
+    signatures (K q2,4 L q2): what jumps of one have added to the error of each; no columns where nobody asks for jumps.
     """
 
     age: Array

@@ -35,7 +35,7 @@ def smoothed(lagged: LagMemory, seen: Array, of_jumps: Array, innovation: float,
     """Return the memory after an innovation of variance α.
 
     seen (K q2,): vᵀh, which its row sees of the past
-    of_jumps (6 L q2,): what jumps of one add to the innovation
+    of_jumps (4 L q2,): what jumps of one add to the innovation
     """
     if not lagged.age.size:
         return lagged
@@ -60,7 +60,7 @@ def without_signatures(lagged: LagMemory) -> LagMemory:
 def with_new_signatures(lagged: LagMemory, newest: Array) -> LagMemory:
     """Return the memory with signatures of jumps in the step that begins in place of the oldest ones.
 
-    newest (q2,6 q2): theirs in d at the sample, for where that is kept
+    newest (q2,4 q2): theirs in d at the sample, for where that is kept
     """
     if not lagged.age.size:
         return lagged

@@ -38,6 +38,8 @@ AFTER_JUMPS = parts_of([1.0 - instant for instant in INSTANTS])
 _NODES = 3
 _WEIGHTS = np.array([[1.0, 0.0, 0.0], [5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0]])
 _KINDS = len(_WEIGHTS)
+# Signatures of one step and disturbance: of the first kind, and of the nodes of the second one.
+_INSTANTS = len(INSTANTS)
 # Hypotheses of less weight are not worth a correction; those of more replace the filter's state.
 _MENTIONED, _CERTAIN = 0.4, 0.95
 # The variances of the innovations are as sure as if so many innovations had told them.
@@ -96,7 +98,7 @@ def empty_bank(disturbance_bound: Array, rate: float) -> JumpBank:
 
 def columns_of(q: int) -> int:
     """Return how many signatures a bank for q disturbances has."""
-    return LENGTH * q * _KINDS * _NODES
+    return LENGTH * q * _INSTANTS
 
 
 def full_bank(disturbance_bound: Array, rate: float) -> JumpBank:
@@ -123,15 +125,15 @@ def first_sizes(disturbance_bound: Array) -> Array:
 
 
 def explained(bank: JumpBank, of_jumps: Array, e: float, alpha: float) -> Explained:
-    """Return what an innovation e of the variance α says, where jumps of one add `of_jumps` (6 L q2,) to it."""
+    """Return what an innovation e of the variance α says, where jumps of one add `of_jumps` (4 L q2,) to it."""
     sizes, misfit, gained = with_innovation(bank.sizes, bank.misfit, of_jumps, e, alpha)
     return Explained(sizes, misfit, gained)
 
 
 def with_innovation(sizes: Array, misfit: Array, of_jumps: Array, e: float, alpha: float) -> tuple[Array, Array, Array]:
     """Return the fields of `Explained`; see `explained`."""
-    rho = of_jumps.reshape(-1, 1, _NODES)
-    both = (rho @ sizes)[:, 0]
+    rho = _of_kinds(of_jumps[None])[0]
+    both = (rho[:, None] @ sizes)[:, 0]
     f, r = both[:, :_NODES], e - both[:, _NODES]
     s = (f * f).sum(axis=1) + alpha
     share: Array = np.empty_like(both)
@@ -198,7 +200,7 @@ def after_certain_jump(bank: JumpBank, disturbance_bound: Array) -> JumpBank:
 
 
 def mixture(bank: JumpBank, signatures: Array) -> Mixture:
-    """Return mean and variance of the correction by all hypotheses, no jump included, for signatures (rows,6 L q2)."""
+    """Return mean and variance of the correction by all hypotheses, no jump included, for signatures (rows,4 L q2)."""
     of_each = log_weights(bank)
     # So little weight stays below the limit even if all hypotheses have it.
     if float(of_each.max()) < log(_MENTIONED / (1.0 - _MENTIONED) / len(bank.log_weight)):
@@ -249,9 +251,17 @@ def _normalised(of_each: Array) -> tuple[Array, float]:
 
 def _of_each(bank: JumpBank, signatures: Array) -> tuple[Array, Array]:
     """Return the corrections (rows,2 L q2) of the hypotheses, and factors (rows,2 L q2,3) of their covariances."""
-    mu = signatures.reshape(len(signatures), -1, _NODES)
-    both = np.einsum("rhk,hkj->rhj", mu, bank.sizes)
+    both = np.einsum("rhk,hkj->rhj", _of_kinds(signatures), bank.sizes)
     return both[:, :, _NODES], both[:, :, :_NODES]
+
+
+def _of_kinds(signatures: Array) -> Array:
+    """Return the signatures (rows,2 L q2,3) of the nodes of each hypothesis; a jump at the sample has one node."""
+    each = signatures.reshape(len(signatures), -1, _INSTANTS)
+    of_each = np.zeros((len(each), each.shape[1], _KINDS * _NODES))
+    of_each[:, :, 0] = each[:, :, 0]
+    of_each[:, :, _NODES:] = each[:, :, 1:]
+    return of_each.reshape(len(each), -1, _NODES)
 
 
 def with_newest(bank: JumpBank, newest: Array) -> JumpBank:
@@ -271,20 +281,10 @@ def with_newest(bank: JumpBank, newest: Array) -> JumpBank:
 
 
 def signatures_at_sample(q: int) -> Array:
-    """Return the signatures (q2,6 q2) in d, as of the sample that a step begins with, of jumps in the step.
+    """Return the signatures (q2,4 q2) in d, as of the sample that a step begins with, of jumps in the step.
 
     d is continuous from the right: a jump at the sample counts at the sample.
     """
-    newest = np.zeros((q, q, len(INSTANTS)))
+    newest = np.zeros((q, q, _INSTANTS))
     newest[:, :, 0] = np.eye(q)
-    return signatures_of(newest.reshape(q, -1))
-
-
-def signatures_of(newest: Array) -> Array:
-    """Return the signatures (rows,6 q2) of both kinds of hypotheses, from responses (rows,4 q2) to jumps."""
-    rows = len(newest)
-    each = newest.reshape(rows, -1, len(INSTANTS))
-    both = np.zeros((rows, each.shape[1], _KINDS * _NODES))
-    both[:, :, 0] = each[:, :, 0]
-    both[:, :, _NODES:] = each[:, :, 1:]
-    return both.reshape(rows, -1)
+    return newest.reshape(q, -1)
