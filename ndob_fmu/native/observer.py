@@ -68,12 +68,18 @@ _PER_DISTURBANCE = {
     "AT_NOMINAL": "disturbance_nominal",
 }
 # Bytes that design and steps compute in, for each number that the FMU counts. Where they are too few, it takes more.
-_MEMORY_OF_A_NUMBER = 88
+_MEMORY_OF_A_NUMBER = 112
 _COPIED = ("PreparedObserver", "Tuned", "StepDesign", "ConvergedStep")
 # What a log wants to know of the tuning.
 _OF_TUNING = ("Intensities", "IntensityLaw")
 # Functions of a step that leave their memory in use: the caller gives all of it back after it has written the state.
-_UNMOVED = (f"{_STEP}.sampled_step.step_by_definition", f"{_STEP}.tracking_step.step_with_covariance")
+_UNMOVED = (
+    f"{_STEP}.sampled_step.step_by_definition",
+    f"{_STEP}.tracking_step.step_with_covariance",
+    f"{_STEP}.reconsider.measured_or_reconsidered",
+    f"{_STEP}.measurement_update.measure",
+    f"{_STEP}.time_update.predict",
+)
 _PRINTED = (
     "nonlinearity",
     "derivatives",

@@ -60,17 +60,18 @@ void nd_start(nd_arena *a, void *block, size_t bytes);
 void *nd_take_bytes(nd_arena *a, size_t bytes);
 void nd_raise(nd_arena *a, int error, const char *format, ...);
 
-/* The move of a function's result to where its memory began: two passes over all blocks that the result consists of. */
+/* The move of a function's result to where its memory began: passes over all blocks that the result consists of. */
 typedef struct {
     nd_arena *a;
     size_t mark, top;
     int pass;
+    size_t kept;
 } nd_keeping;
 nd_keeping nd_keep_begin(nd_arena *a, size_t mark);
 nd_keeping nd_copy_begin(nd_arena *to);
 nd_keeping nd_forms_begin(nd_arena *to);
-void nd_keep_end(nd_keeping *k);
-bool nd_keep_block(nd_keeping *k, void **p, size_t bytes);
+bool nd_keep_pass(nd_keeping *k);
+void nd_keep_block(nd_keeping *k, void **p, size_t bytes);
 void nd_keep_shift(nd_keeping *k, void **p);
 void nd_keep_array(nd_keeping *k, nd *x);
 nd nd_keep(nd_arena *a, size_t mark, nd x);

@@ -33,42 +33,59 @@ static bool is_inside(const nd_arena *a, const void *p, size_t from, size_t to) 
     return at >= base + from && at < base + to;
 }
 
-nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, 1}; }
+/* The passes of a move, and the one pass of a copy into another block, with its numbers or with the shapes of arrays
+ * alone. */
+enum { BEFORE, COUNT, MOVE_UP, SHIFT, COPY, FORMS };
+nd_keeping nd_keep_begin(nd_arena *a, size_t mark) { return (nd_keeping){a, mark, a->used, BEFORE, 0}; }
+nd_keeping nd_copy_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, COPY, 0}; }
+nd_keeping nd_forms_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, FORMS, 0}; }
 
-/* The one pass of a copy into another block, with its numbers or with the shapes of arrays alone. */
-enum { COPY = 3, FORMS };
-nd_keeping nd_copy_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, COPY}; }
-nd_keeping nd_forms_begin(nd_arena *to) { return (nd_keeping){to, 0, 0, FORMS}; }
+/* Whether what may be given back is not worth a copy: it is little, or the result is at least half of it. Functions around
+ * this one judge again, with what was left here, so that all of it together stays no larger than the result. */
+static bool is_enough(const nd_keeping *k) { return k->top - k->mark <= LITTLE || 2 * k->kept >= k->top - k->mark; }
 
-void nd_keep_end(nd_keeping *k) {
+static void end_move(nd_keeping *k) {
     size_t bytes = k->a->used - k->top;
     memmove(k->a->base + k->mark, k->a->base + k->top, bytes);
     k->a->used = k->mark + bytes;
 }
 
-/* First pass: copy a block that would be given back behind all others. Returns whether a pass copies. */
-bool nd_keep_block(nd_keeping *k, void **p, size_t bytes) {
-    if (bytes && (k->pass >= COPY || (k->pass == 1 && is_inside(k->a, *p, k->mark, k->top)))) {
+/* Begin the next pass; false after the last one. */
+bool nd_keep_pass(nd_keeping *k) {
+    if (k->pass == SHIFT) end_move(k);
+    if (k->pass == SHIFT || (k->pass <= COUNT && is_enough(k))) return false;
+    k->pass++;
+    return true;
+}
+
+/* Copy a block that would be given back behind all others. */
+void nd_keep_block(nd_keeping *k, void **p, size_t bytes) {
+    if (k->pass == COUNT && is_inside(k->a, *p, k->mark, k->top)) k->kept += bytes;
+    if (bytes && (k->pass >= COPY || (k->pass == MOVE_UP && is_inside(k->a, *p, k->mark, k->top)))) {
         void *copy = nd_take_bytes(k->a, bytes);
         memcpy(copy, *p, bytes);
         *p = copy;
     }
-    return k->pass != 2;
 }
 
-/* Second pass: point to where `nd_keep_end` moves the copy. */
+/* Point to where `end_move` moves the copy. */
 void nd_keep_shift(nd_keeping *k, void **p) {
-    if (k->pass == 2 && is_inside(k->a, *p, k->top, k->a->used)) *p = (char *)*p - (k->top - k->mark);
+    if (k->pass == SHIFT && is_inside(k->a, *p, k->top, k->a->used)) *p = (char *)*p - (k->top - k->mark);
 }
 
 void nd_keep_array(nd_keeping *k, nd *x) {
     void *p;
     if (!*x) return;
+    if (k->pass == COUNT) {
+        if (is_inside(k->a, (*x)->p, k->mark, k->top)) k->kept += (size_t)nd_size(*x) * sizeof(double);
+        if (is_inside(k->a, *x, k->mark, k->top)) k->kept += sizeof **x;
+        return;
+    }
     if (k->pass == FORMS) {
         *x = nd_form_of(k->a, *x);
         return;
     }
-    if (k->pass != 2) {
+    if (k->pass != SHIFT) {
         if (k->pass == COPY || is_inside(k->a, (*x)->p, k->mark, k->top)) *x = nd_copy(k->a, *x);
         else if (is_inside(k->a, *x, k->mark, k->top)) *x = nd_same_view(k->a, *x);
         return;
@@ -82,22 +99,15 @@ void nd_keep_array(nd_keeping *k, nd *x) {
     *x = p;
 }
 
-/* What is too little to be worth a copy. */
-static bool is_little(const nd_arena *a, size_t mark) { return a->used - mark <= LITTLE; }
-
 void nd_keep_parts(nd_arena *a, size_t mark, void *x, void (*keep)(nd_keeping *, void *)) {
-    if (is_little(a, mark)) return;
-    nd_keeping k = nd_keep_begin(a, mark);
-    for (; k.pass <= 2; k.pass++) keep(&k, x);
-    nd_keep_end(&k);
+    for (nd_keeping k = nd_keep_begin(a, mark); nd_keep_pass(&k);) keep(&k, x);
 }
 
 /* Whether the numbers follow their view, as `nd_new` puts them. */
 static bool is_whole(nd x) { return (void *)x->p == (void *)(x + 1) && nd_is_compact(x); }
 
 nd nd_keep(nd_arena *a, size_t mark, nd x) {
-    if (is_little(a, mark)) return x;
-    nd_keeping k = {a, mark, a->used, 1};
+    if (a->used - mark <= LITTLE) return x;
     if (x && is_inside(a, x, mark, a->used) && is_whole(x)) {
         size_t bytes = sizeof *x + (size_t)nd_size(x) * sizeof(double);
         memmove(a->base + mark, x, bytes);
@@ -106,7 +116,6 @@ nd nd_keep(nd_arena *a, size_t mark, nd x) {
         x->p = (double *)(void *)(x + 1);
         return x;
     }
-    for (; k.pass <= 2; k.pass++) nd_keep_array(&k, &x);
-    nd_keep_end(&k);
+    for (nd_keeping k = nd_keep_begin(a, mark); nd_keep_pass(&k);) nd_keep_array(&k, &x);
     return x;
 }

@@ -51,7 +51,12 @@ class Operators(Indices):
         raise self.no(node, "- of numbers, ~ of arrays of bool, or not")
 
     def _binary(self, node: ast.BinOp, want: Kind | None) -> Value:
-        repeated = isinstance(node.op, ast.Mult) and isinstance(node.left, (ast.List, ast.Tuple))
+        repeated = node.left if isinstance(node.op, ast.Mult) and isinstance(node.left, (ast.List, ast.Tuple)) else None
+        if repeated and len(repeated.elts) == 1:
+            one = self.certain(self.expression(repeated.elts[0]))
+            if is_number(one.kind):
+                number, times = self.as_number(one, FLOAT, node), self.number(node.right, INT)
+                return Value(f"nd_filled(arena, {times}, {number})", Listing(one.kind), fresh=True)
         left = self.certain(self.expression(node.left, want if repeated else None))
         right = self.certain(self.expression(node.right))
         return self.operation(node.op, left, right, node)

@@ -245,10 +245,7 @@ class Statements(Assignments):
         if len(names) == 1 and is_nd(self.variables[names[0]]):
             return f"{owns[0]} = nd_keep(arena, {mark}, {owns[0]});"
         calls = " ".join(f"{keeper(self.variables[name])}(&k_, &{own});" for name, own in zip(names, owns, strict=True))
-        return (
-            f"{{ nd_keeping k_ = nd_keep_begin(arena, {mark}); for (; k_.pass <= 2; k_.pass++) {{ {calls} }} "
-            "nd_keep_end(&k_); }"
-        )
+        return f"for (nd_keeping k_ = nd_keep_begin(arena, {mark}); nd_keep_pass(&k_);) {{ {calls} }}"
 
     def _return(self, node: ast.Return) -> None:
         kind = self.definition.result

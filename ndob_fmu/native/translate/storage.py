@@ -86,7 +86,7 @@ def _keep(program: Program, kind: Kind) -> str:
             each = f"    for (int i = 0; i < x->n; i++) {keeper(kind.element)}(k, &x->p[i]);\n"
         return (
             f"{head}\n    void *p = x->p;\n"
-            f"    (void)nd_keep_block(k, &p, sizeof({own}) * (size_t)x->n);\n    x->p = p;\n"
+            f"    nd_keep_block(k, &p, sizeof({own}) * (size_t)x->n);\n    x->p = p;\n"
             f"{each}    nd_keep_shift(k, &p);\n    x->p = p;\n}}\n"
         )
     match kind:

@@ -65,7 +65,7 @@ class FilterModel:
 
     @cached_property
     def signatures_at_sample(self) -> Array:
-        """The signatures (q2,6 q2) of jumps in the next step in d at a sample."""
+        """The signatures (q2,4 q2) of jumps in the next step in d at a sample."""
         return signatures_at_sample(self.layout.q)
 
     @cached_property
@@ -170,7 +170,7 @@ class FilterModel:
     @cached_property
     def considers(self) -> bool:
         """Whether there are entries of ξ that samples do not correct."""
-        return not bool(np.all(self.estimated))
+        return not all(self.settings.estimated[i] for i in self.layout.uncertain)
 
     def with_parameters(self, xi: Array) -> Vector:
         """Return the model's parameters, the estimated ones from ξ̂."""
