@@ -13,7 +13,7 @@ from ndob_fmu.runtime.arrays import Array
 LAGS = 20
 # Twice the standard error is the band of a right setting. Long logs have narrow ones, in which nothing real lies: what
 # is smaller than these is not worth a change.
-_SIZE, CORRELATED, _REFUSED = 1.3, 0.2, 0.01
+_SIZE, _CORRELATED, _REFUSED = 1.3, 0.2, 0.01
 _NOISE = 1.5
 _ANY_FACTOR = 1000.0  # above it the number says nothing
 
@@ -79,7 +79,7 @@ class OutputDiagnosis:
 
     @property
     def _follow_one_another(self) -> bool:
-        return float(self.correlation[0]) > max(CORRELATED, self.correlation_band)
+        return follow_one_another(float(self.correlation[0]), self.samples)
 
     def _of_disturbance(self, output: str) -> Iterator[str]:
         if self._follow_one_another:
@@ -100,6 +100,30 @@ class OutputDiagnosis:
                 f"{output}: residuals are {self.size**0.5:.2f} × as large as predicted; the disturbance is slower than "
                 "disturbance_rate says: a lower rate gives a calmer estimate with a narrower band"
             )
+
+
+def follow_one_another(correlation: float, samples: float) -> bool:
+    """Return whether a correlation of so many residuals, one sample apart, is more than chance, and worth a change."""
+    return correlation > max(_CORRELATED, _band(samples))
+
+
+def _band(samples: float) -> float:
+    return 2.0 / float(max(samples, 1.0) ** 0.5)
+
+
+def products_apart(rows: Array, known: int, lags: int) -> tuple[Array, Array]:
+    """Return how many pairs of rows (K,p) are 0, 1, … lags samples apart, and their sums of products (lags + 1,p).
+
+    rows: NaN where nothing was measured
+    known: so many of the first rows were counted before, and count only as partners of later ones
+    """
+    there = np.isfinite(rows)
+    found = []
+    for one in (there.astype(float), np.where(there, rows, 0.0)):
+        starts = [max(known, lag) for lag in range(lags + 1)]
+        pairs = [(one[first:], one[first - lag :][: len(one[first:])]) for lag, first in enumerate(starts)]
+        found.append(np.array([np.einsum("kp,kp->p", late, early) for late, early in pairs]))
+    return found[0], found[1]
 
 
 class ResidualTally:
@@ -126,11 +150,9 @@ class ResidualTally:
         known = len(self._rows)
         rows = np.concatenate([self._rows, usable])
         self._rows = rows[-LAGS:]
-        there = np.isfinite(rows)
-        for sums, one in ((self._counts, there.astype(float)), (self._products, np.where(there, rows, 0.0))):
-            for lag in range(LAGS + 1):
-                first = max(known, lag)
-                sums[lag] += np.einsum("kp,kp->p", one[first:], one[first - lag : len(one) - lag])
+        counts, products = products_apart(rows, known, LAGS)
+        self._counts += counts
+        self._products += products
 
     def diagnoses(self) -> Sequence[OutputDiagnosis]:
         """Return the diagnosis of each output."""
@@ -142,7 +164,7 @@ class ResidualTally:
                 size=float(mean[0, i]),
                 size_band=2.0 * (2.0 / max(count, 1.0)) ** 0.5,
                 correlation=mean[1:, i] / mean[0, i] if mean[0, i] > 0.0 else np.zeros(LAGS),
-                correlation_band=2.0 / max(count, 1.0) ** 0.5,
+                correlation_band=_band(count),
                 refused=float(self._refused[i] / max(self._measured[i], 1.0)),
                 noise_factor=float(ratio[i] ** 0.5),
             )

@@ -226,6 +226,15 @@ def test_jitter_gaps_a_slow_sensor_and_outliers_are_taken_as_they_are(tmp_path, 
     assert found.valid > 0.95
 
 
+@pytest.mark.parametrize("rows", [2, 3, 12, 20])
+def test_a_log_of_a_few_rows_has_an_estimate_but_no_verdict(tmp_path, without_figures, rows):
+    time = 0.01 * np.arange(rows)
+    log = write_log(tmp_path / "log.csv", time, *simulated(time, gusts(time), [*NOISE.values()], 7))
+    verdicts = estimate_log(CART, log, tmp_path, start_values=TUNED).verdicts
+    assert len(read_csv(tmp_path / "result.csv").time) == rows
+    assert all("too few samples for a verdict" in line for line in verdicts)
+
+
 def test_stretches_of_a_long_log_join_without_a_seam(tmp_path, monkeypatch, without_figures):
     time = 0.01 * np.arange(700)
     log = write_log(tmp_path / "log.csv", time, *simulated(time, gusts(time), [*NOISE.values()], 6))

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from ndob_fmu.log.diagnostics import CORRELATED
+from ndob_fmu.log.diagnostics import follow_one_another, products_apart
 from ndob_fmu.runtime.arrays import Array
 
 
@@ -20,10 +18,10 @@ def said_of_residuals(outputs: Sequence[str], residuals: Array) -> Iterator[str]
 
     residuals: NaN where nothing was measured
     """
-    for name, column in zip(outputs, residuals.T, strict=True):
-        e = column[np.isfinite(column)]
-        correlation = float(e[1:] @ e[:-1] / max(e @ e, 1e-300))
-        if correlation > max(CORRELATED, 2.0 / max(len(e), 1) ** 0.5):
+    counts, products = products_apart(residuals, 0, 1)
+    for name, pairs, sums in zip(outputs, counts.T.tolist(), products.T.tolist(), strict=True):
+        correlation = (sums[1] / max(pairs[1], 1.0)) / max(sums[0] / max(pairs[0], 1.0), 1e-300)
+        if follow_one_another(correlation, pairs[0]):
             yield (
                 f"{name}: residuals follow one another (correlation {correlation:.2f}), and {name}_noise_std holds an "
                 "error of the model, too; a parameter is wrong (--free), or the model lacks something"

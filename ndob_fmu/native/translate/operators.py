@@ -52,7 +52,7 @@ class Operators(Indices):
 
     def _binary(self, node: ast.BinOp, want: Kind | None) -> Value:
         repeated = node.left if isinstance(node.op, ast.Mult) and isinstance(node.left, (ast.List, ast.Tuple)) else None
-        if repeated and len(repeated.elts) == 1:
+        if repeated and len(repeated.elts) == 1 and isinstance(repeated.elts[0], (ast.Constant, ast.Name)):
             one = self.certain(self.expression(repeated.elts[0]))
             if is_number(one.kind):
                 number, times = self.as_number(one, FLOAT, node), self.number(node.right, INT)
