@@ -168,7 +168,7 @@ class _Counts:
     def __init__(self, biased: Sequence[str], outputs: int) -> None:
         self._biased, self._offsets = biased, dict[str, Told]()
         self._found, self._rows, self._valid, self._jumps, self._outliers = Found(), 0, 0.0, 0, 0
-        self.misfit = np.zeros(outputs)
+        self.misfit = np.zeros((2, outputs))
         self._first, self._last, self._usual, self._gaps = 0.0, 0.0, 0.0, 0
         self._sums = np.zeros(3)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ndob_fmu.log.smooth.event_search import explained_from
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
-from ndob_fmu.log.smooth.misfit import is_followed, misfit_std, variance_of_misfit
+from ndob_fmu.log.smooth.misfit import ModelError, error_of_model, is_followed, no_error
 from ndob_fmu.log.smooth.row_model import RowModel
 from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
@@ -41,7 +41,7 @@ class SmoothedStretch:
     x, x_std (K,n), d, d_std (K,q2): states and disturbances with their error bars
     offset, offset_std (K,·): of the outputs that have an unknown one, likewise
     jumps, outliers: how many were found
-    misfit (p,): `misfit_std` of what the model's error adds to the samples
+    misfit (2,p): the `ModelError.sizes`
     """
 
     x: Array
@@ -84,9 +84,9 @@ def smooth(
     while True:
         following = next(stretches, None)
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
-        found, columns, trajectory = explained_stretch(tuned, equations, part, start, started)
+        found, columns, trajectory, error = explained_stretch(tuned, equations, part, start, started)
         K = len(stretch.log.time)
-        yield stretch, smoothed_stretch(equations, found, columns, trajectory, part, K)
+        yield stretch, smoothed_stretch(equations, found, columns, trajectory, error, part, K)
         if following is None:
             return
         start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
@@ -96,8 +96,8 @@ def smooth(
 
 def explained_stretch(
     tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int
-) -> tuple[Explained, Jumps, Array]:
-    """Return a stretch as its events explain it, and the trajectory (K,N) about which it is linear.
+) -> tuple[Explained, Jumps, Array, ModelError]:
+    """Return a stretch as its events and the model's error explain it, and the trajectory (K,N) of its linearisation.
 
     started: rows of the start, in which the disturbance is unknown anyway
 
@@ -113,24 +113,23 @@ def explained_stretch(
             equations, samples, trajectory, lambda steps: factor * intensities(tuned, steps), start, apart=False
         )
 
-    def linearised(trajectory: Array, events: Events) -> tuple[Explained, Jumps]:
+    def linearised(trajectory: Array, events: Events) -> tuple[Explained, Jumps, ModelError]:
         record, columns = record_of(trajectory)
-        whole = WholeRecord(record)
-        found = with_events(whole, columns, events)
+        whole, state_std = WholeRecord(record), model.start_std[: model.layout.n]
+        found, error = with_events(whole, columns, events), no_error(record)
         if not is_followed(found.forward):
-            more = variance_of_misfit(record_of(trajectory, _FREE**2)[0], columns, events)
-            whole = WholeRecord(replace(record, variance=record.variance + more))
+            free, _ = record_of(trajectory, _FREE**2)
+            error = error_of_model(record, free, columns, events, state_std, samples.step)
+            whole = WholeRecord(error.added_to(record, state_std, samples.step))
             found = with_events(whole, columns, events)
-        return explained_from(found, whole, columns, spacing, started), columns
-
-    def smoothed(trajectory: Array, events: Events) -> tuple[Array, Events]:
-        found, _ = linearised(trajectory, events)
-        return trajectory + Smoothed(found.forward, found.adjoint).xi, found.events
+        return explained_from(found, whole, columns, spacing, started), columns, error
 
     about = unpacked_rows(model.layout, said.predicted)
     if not model.is_linear:
-        about, events = smoothed(about, events)
-    return *linearised(about, events), about
+        found, _, _ = linearised(about, events)
+        about, events = about + Smoothed(found.forward, found.adjoint).xi, found.events
+    found, columns, error = linearised(about, events)
+    return found, columns, about, error
 
 
 def noise_variance(model: FilterModel, ratio: Array) -> Array:
@@ -143,13 +142,8 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
     return np.asarray(model.noise_variance * np.reshape(used, believed.shape))
 
 
-def variance_of_model(model: FilterModel, found: Explained, part: Stretch) -> Array:
-    """Return what the model's error adds to the variances (K,p) of the samples of a stretch."""
-    return np.asarray(found.record.variance - noise_variance(model, part.online.noise_ratio))
-
-
 def smoothed_stretch(
-    equations: RowModel, found: Explained, columns: Jumps, about: Array, part: Stretch, rows: int
+    equations: RowModel, found: Explained, columns: Jumps, about: Array, error: ModelError, part: Stretch, rows: int
 ) -> SmoothedStretch:
     """Return the smoothed estimate at the first rows of a stretch."""
     model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
@@ -168,5 +162,5 @@ def smoothed_stretch(
         offset_std=std[:, model.layout.biases],
         jumps=sum(k < rows for k in found.events.jumps),
         outliers=sum(k < rows for k, _ in found.events.outliers),
-        misfit=misfit_std(variance_of_model(model, found, part)),
+        misfit=error.sizes,
     )

@@ -23,9 +23,9 @@ from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import Adjoint, Forward, LinearRecord, Smoothed
-from ndob_fmu.log.smooth.misfit import misfit_std, said_of_misfit
+from ndob_fmu.log.smooth.misfit import said_of_misfit
 from ndob_fmu.log.smooth.row_model import RowModel
-from ndob_fmu.log.smooth.smooth_log import event_spacing, explained_stretch, noise_variance, variance_of_model
+from ndob_fmu.log.smooth.smooth_log import event_spacing, explained_stretch, noise_variance
 from ndob_fmu.log.smooth.smoothable import check_smoothed
 from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.log.told_values import ignored, told_values
@@ -123,12 +123,11 @@ class Workbench:
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)
-        found, _, about = explained_stretch(
+        found, _, about, self._error = explained_stretch(
             tuned, rows, self.stretch, self._start(observer, tuned.model), tuned.model.start_samples
         )
         self._layout, self._about, self._events = tuned.model.layout, about, found.events
-        self._of_model = variance_of_model(tuned.model, found, self.stretch)
-        self.warnings = (*run.warnings, *said_of_misfit(eq, misfit_std(self._of_model)))
+        self.warnings = (*run.warnings, *said_of_misfit(eq, self._error.sizes))
 
     @property
     def bound(self) -> list[float]:
@@ -186,10 +185,11 @@ class Workbench:
         record = replace(
             linear.record,
             noise=linear.record.noise * factor[:, None, : c * N],
-            variance=noise_variance(model, self._noise_ratio(settings)) + self._of_model,
+            variance=noise_variance(model, self._noise_ratio(settings)),
             start_factor=np.diag(model.start_std),
         )
-        return tuned, linear, WholeRecord(record)
+        with_error = self._error.added_to(record, model.start_std[: model.layout.n], self.stretch.step[:-1])
+        return tuned, linear, WholeRecord(with_error)
 
     def _noise_ratio(self, settings: Settings) -> Array:
         """Return the variance (K,p) that the observer found in the residuals, over the one of the settings."""
