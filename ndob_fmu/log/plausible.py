@@ -8,6 +8,7 @@ import numpy as np
 
 from ndob_fmu.log.log import Found, Log
 from ndob_fmu.log.online import Stretch, usual_step
+from ndob_fmu.log.own_input import OwnInput
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.pace import Pace, pace_of, pace_warnings
 from ndob_fmu.runtime.equations import Equations, Vector
@@ -30,8 +31,9 @@ class Plausibility:
     bound (q2,): D₀; pace: of the plant, None where that is not known
     """
 
-    def __init__(self, eq: Equations, bound: Sequence[float], pace: Pace | None) -> None:
+    def __init__(self, eq: Equations, observer: SampledObserver, bound: Sequence[float], pace: Pace | None) -> None:
         self._eq, self._bound, self._pace, self._step = eq, np.array(bound, dtype=float), pace, 0.0
+        self._own_input = OwnInput(eq, observer)
         self._names = (*eq.inputs, *eq.outputs)
         count, everything = len(self._names), (-np.inf, np.inf)
         low, high = np.array([eq.ranges.get(name, everything) for name in self._names]).reshape(count, 2).T
@@ -72,6 +74,7 @@ class Plausibility:
 
     def add(self, stretch: Stretch) -> None:
         """Count an estimate."""
+        self._own_input.add(stretch)
         off = np.abs(stretch.online.d_at_sample - self._eq.disturbance_nominal)
         self._rows += len(off)
         self._beyond += (off > _BEYOND_BOUND * self._bound).sum(axis=0)
@@ -91,6 +94,7 @@ class Plausibility:
                     f"{name} goes from {self._least[i]:.4g} to {self._most[i]:.4g}{self._unit(name)}, far outside its "
                     f"range, {self._low[i]:g} to {self._high[i]:g}, in {100.0 * share:.0f} % of the rows: {_LIKELY}"
                 )
+        found += self._own_input.warnings()
         found += self._start
         for i, name in enumerate(self._eq.disturbances):
             if self._beyond[i] > _SHARE * max(self._rows, 1):
@@ -111,12 +115,12 @@ def plausibility(eq: Equations, observer: SampledObserver, bound: Sequence[float
     bound (q2,): D₀, which for a plant with a channel is not that of the observer's disturbances
     """
     if eq.channel is not None:
-        return Plausibility(eq, bound, None)
+        return Plausibility(eq, observer, bound, None)
     told = observer.settings
     pace = pace_of(
         eq, observer.parameters, x_hat, bound=told.disturbance_bound, rate=told.disturbance_rate, order=told.order
     )
-    return Plausibility(eq, bound, pace)
+    return Plausibility(eq, observer, bound, pace)
 
 
 def with_likely_cause(message: str, warnings: Sequence[str]) -> str:

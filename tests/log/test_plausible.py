@@ -10,7 +10,9 @@ from ndob_fmu.log.diagnostics import OutputDiagnosis
 from ndob_fmu.log.estimate_log import estimate_log
 from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.tune.workbench import Workbench
+from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.equations import Experiment
 from tests.log.test_estimate_log import CART, NOISE, TUNED, gusts, simulated, write_log
 
 TIME = 0.01 * np.arange(520)
@@ -93,6 +95,38 @@ def test_times_with_too_few_digits_are_the_first_thing_named(warnings, tmp_path)
     assert line.startswith("467 of 520 rows have the time of the row before and other samples")
     with pytest.raises(UsageError, match=r"500 rows of different times .* received 53; likely cause: 467 of 520"):
         fit_log(CART, tmp_path / "log.csv", tmp_path / "out")
+
+
+# A cell whose current shows in its voltage at once.
+CELL = Model(
+    name="Cell",
+    states=["charge"],
+    inputs=["current"],
+    outputs={"voltage": lambda x, u, p: x.charge - p.resistance * u.current},
+    disturbances=["leak"],
+    dynamics=lambda x, u, d, p: [-(u.current + d.leak) / 100.0],
+    parameters={"resistance": 0.1},
+    noise_std=1e-3,
+    disturbance_bound=0.5,
+    experiment=Experiment(stop_time=300.0, step_size=1.0),
+)
+
+
+@pytest.mark.parametrize("resistance", [0.1, 0.13])
+@pytest.mark.parametrize("rows_behind", [0, 1])
+def test_an_output_that_follows_the_input_of_its_own_row_is_named(tmp_path, monkeypatch, resistance, rows_behind):
+    """Whether or not its resistance is told right. Each input is held from its row on, so that it acts behind it."""
+    monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *_, **__: None)
+    random, time = np.random.default_rng(1), np.arange(300.0)
+    current = np.concatenate([[0.0], random.normal(size=len(time))])
+    charge = 1.0 - np.concatenate([[0.0], np.cumsum(current[1:-1])]) / 100.0
+    voltage = charge - 0.1 * current[1 - rows_behind :][: len(time)] + 1e-3 * random.normal(size=len(time))
+    rows = np.column_stack([time, current[1:], voltage]).tolist()
+    log = tmp_path / "log.csv"
+    log.write_text("time,current,voltage\n" + "".join(f"{t},{u},{y}\n" for t, u, y in rows))
+    model = replace(CELL, parameters={"resistance": resistance}, x0=[1.0], xhat0=[1.0])
+    found = estimate_log(model, log, tmp_path / "out").warnings
+    assert any(line.startswith("voltage follows the inputs of its own row") for line in found) == (rows_behind == 0)
 
 
 def test_an_output_without_samples_is_named(warnings):
