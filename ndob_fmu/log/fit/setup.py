@@ -101,7 +101,7 @@ class Setup:
                 str(path),
                 expected=f"at least {_LEAST_ROWS} rows of different times for a fit",
                 received=str(block.rows),
-                likely="; ".join(block.log.found.warnings),
+                likely=next(iter(block.log.found.warnings), ""),
             )
         begin(f"fitting, part 1 of 5: running the observer along {block.rows} rows")
         observer, found = self._run({**self._first_values, **self.open_offsets(block.log)}, block.log)
