@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ndob_fmu.codegen.c_expressions import RUNTIME
 from ndob_fmu.codegen.emit_c import emit_c
-from ndob_fmu.codegen.print_c import RUNTIME
 from ndob_fmu.model.model import Model
 from ndob_fmu.native.runtime_code import part
 from ndob_fmu.native.short_code import fast, short

@@ -17,8 +17,9 @@ import sympy
 
 from ndob_fmu.codegen.build_definitions import build_definitions
 from ndob_fmu.codegen.build_step import build_steps
+from ndob_fmu.codegen.c_expressions import RUNTIME
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.codegen.print_c import RUNTIME, print_function, statements
+from ndob_fmu.codegen.print_c import print_function, statements
 from ndob_fmu.codegen.program import Return
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
