@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ndob_fmu.log.online import Stretch
+from ndob_fmu.log.online import SURE_OF_NOISE, Stretch
 from ndob_fmu.runtime.arrays import Array
 
 LAGS = 20
@@ -134,7 +134,8 @@ class ResidualTally:
         self._rows = np.empty((0, outputs))
         self._counts, self._products = np.zeros((LAGS + 1, outputs)), np.zeros((LAGS + 1, outputs))
         self._measured, self._refused = np.zeros(outputs), np.zeros(outputs)
-        self._ratios, self._steps = np.zeros(outputs), 0
+        self._unsure = start_samples + SURE_OF_NOISE
+        self._latest, self._ratios, self._steps = np.ones(outputs), np.zeros(outputs), 0
 
     def add(self, stretch: Stretch) -> None:
         """Count a stretch; those before it must have been added."""
@@ -142,9 +143,12 @@ class ResidualTally:
         usable = np.where(said.refused > 0.0, np.nan, said.residual / said.residual_std)
         self._measured += np.isfinite(said.residual).sum(axis=0)
         self._refused += ((said.refused > 0.0) & np.isfinite(said.residual)).sum(axis=0)
+        sure = said.noise_ratio[self._unsure :]
+        self._unsure -= len(usable) - len(sure)
+        self._latest = said.noise_ratio[-1]
+        self._ratios += sure.sum(axis=0)
+        self._steps += len(sure)
         left_out = min(self._start, len(usable))
-        self._ratios += said.noise_ratio[left_out:].sum(axis=0)
-        self._steps += len(usable) - left_out
         self._start -= left_out
         usable[:left_out] = np.nan
         known = len(self._rows)
@@ -157,7 +161,7 @@ class ResidualTally:
     def diagnoses(self) -> Sequence[OutputDiagnosis]:
         """Return the diagnosis of each output."""
         mean = self._products / np.maximum(self._counts, 1.0)
-        ratio = self._ratios / self._steps if self._steps else np.ones(len(self._ratios))
+        ratio = self._ratios / self._steps if self._steps else self._latest
         return [
             OutputDiagnosis(
                 samples=int(count),

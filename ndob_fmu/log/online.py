@@ -22,6 +22,9 @@ from ndob_fmu.runtime.step.observer import Estimate, Observer
 _LONGEST = 2.0
 _MOST_PARTS = 1_000_000
 
+# Rows after which a ratio of the noise, which follows the residuals, can be believed.
+SURE_OF_NOISE = 200
+
 
 @dataclass(frozen=True)
 class Online:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
-from ndob_fmu.log.online import Stretch
+from ndob_fmu.log.online import SURE_OF_NOISE, Stretch
 from ndob_fmu.log.smooth.along import Samples, Start, intensities, record_along, unpacked_rows
 from ndob_fmu.log.smooth.event_search import explained_from
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
@@ -27,8 +27,6 @@ from ndob_fmu.runtime.step.tuned import Tuned, filter_model
 
 # Rows of the next stretch that a stretch is smoothed with; later samples say nothing more about it.
 _LOOK_AHEAD = 2000
-# Rows after which a ratio of the noise, which follows the residuals, can be believed.
-_SURE = 200
 _LEAST_SPACING = 3
 # A disturbance that may be so many times as fast can do anything.
 _FREE = 100.0
@@ -136,7 +134,7 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
     """Return the variances of the samples (K,p), for ratios (K,p) that follow the residuals."""
     if not model.adapts:
         return np.broadcast_to(model.noise_variance, ratio.shape)
-    first = min(_SURE, len(ratio) - 1)
+    first = min(SURE_OF_NOISE, len(ratio) - 1)
     believed = np.concatenate([np.broadcast_to(ratio[first], (first, ratio.shape[1])), ratio[first:]])
     used = in_use(believed.ravel().tolist(), np.tile(model.least_noise, len(believed)).tolist())
     return np.asarray(model.noise_variance * np.reshape(used, believed.shape))
