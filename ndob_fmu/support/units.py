@@ -26,6 +26,20 @@ _NAMES = {
 }
 
 
+# What counts has no dimension: increments of an encoder.
+_COUNTS = ("count", "bit")
+# Symbols as engineers write them. Without these Nm is the number meter of yarns, Nms several of them, PS a petasiemens,
+# and pu a part of the mass of an atom.
+_DEFINITIONS = (
+    "@alias ohm = Ohm",
+    "newton_meter = newton * meter = Nm",
+    "newton_meter_second = newton * meter * second = Nms",
+    "per_unit = 1 = pu",
+    "@alias metric_horsepower = PS",
+    "@alias turn = rev",
+    "@alias count = inc = counts",
+)
+_PRODUCTS = ("Nm", "Nms")
 # Letters of a symbol, at most.
 _SYMBOL = 3
 
@@ -73,7 +87,7 @@ def base_unit(name: str, where: str = "") -> BaseUnit | None:
     formula = re.sub(r"\.(?!\d)", "*", formula)
     try:
         one, zero = (_registry().Quantity(value, formula).to_base_units() for value in (1.0, 0.0))
-        powers = {_NAMES[base]: complex(power).real for base, power in one.unit_items()}
+        powers = {_NAMES[base]: complex(power).real for base, power in one.unit_items() if base not in _COUNTS}
     except _not_a_unit() as error:
         _registry().Quantity(1.0, "kg").to_base_units()  # raises where the fault is the library's, not the text's
         raise ModelError.report(
@@ -89,7 +103,7 @@ def base_unit(name: str, where: str = "") -> BaseUnit | None:
 
 
 def likely_unit(text: str) -> str:
-    """Return the likely cause of a text that is no unit: Volt in place of V, Nm in place of N.m; empty for others."""
+    """Return the likely cause of a text that is no unit: Volt in place of V, Vs in place of V.s; empty for others."""
     meant = re.sub(r"[A-Za-z]+", lambda word: _as_units(word[0]), text)
     return "" if meant == text else f"did you mean {meant!r}?"
 
@@ -102,8 +116,13 @@ def _as_units(word: str) -> str:
         symbol = f"{_registry().parse_units(word.lower()):~}"
         return symbol if symbol.isascii() and symbol.isalpha() else word.lower()
     halves = ((word[:k], word[k:]) for k in range(len(word) - 1, 0, -1))
-    two = next((pair for pair in halves if all(len(half) <= _SYMBOL and _is_unit(half) for half in pair)), (word,))
+    two = next((pair for pair in halves if all(map(_is_symbol, pair))), (word,))
     return ".".join(two)
+
+
+def _is_symbol(word: str) -> bool:
+    """Return whether a word is the symbol of a unit that is not a product itself: Nmm is N.mm, not Nm.m."""
+    return len(word) <= _SYMBOL and word not in _PRODUCTS and _is_unit(word)
 
 
 def _is_unit(word: str) -> bool:
@@ -126,7 +145,8 @@ def _registry() -> pint.UnitRegistry[float]:
     import pint  # slow to load: only for units that nobody defines
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry()  # a third of a second each
-    registry.define("@alias ohm = Ohm")
+    for definition in _DEFINITIONS:
+        registry.define(definition)
     return registry
 
 

@@ -382,7 +382,23 @@ def test_a_text_that_is_no_unit_is_reported_as_such(text):
 
 @pytest.mark.parametrize(
     ("text", "meant"),
-    [("Volt", "V"), ("Newton.Meter", "N.m"), ("kgm2", "kg.m2"), ("bananas", "")],
+    [
+        *(("Volt", "V"), ("Newton.Meter", "N.m"), ("kgm2", "kg.m2"), ("bananas", "")),
+        *(("Vs", "V.s"), ("Nmm", "N.mm"), ("Ncm/rad", "N.cm/rad")),
+    ],
 )
 def test_a_unit_in_words_or_without_its_dot_is_told_as_it_is_written(text, meant):
     assert likely_unit(text) == (f"did you mean {meant!r}?" if meant else "")
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        *(("Nm", "N.m"), ("kNm", "kN.m"), ("Nm/A", "N.m/A"), ("Nms/rad", "N.m.s/rad"), ("kOhm", "kohm")),
+        *(("rev/min", "rpm"), ("PS", "metric_horsepower"), ("pu", "1"), ("counts", "1"), ("inc/s", "Hz"), ("bit", "1")),
+    ],
+)
+def test_units_mean_what_engineers_write_them_for(written, meant):
+    found, expected = base_unit(written), base_unit(meant)
+    assert found.powers == expected.powers
+    assert found.factor == pytest.approx(expected.factor, rel=1e-9)
