@@ -202,12 +202,15 @@ def fit_class(
             theta = 0.5 * (theta + at_best)  # the step was too long
             continue
         at_best = theta
-        step, covariance = np.zeros(0), np.zeros((0, 0))
+        step, std, covariance = np.zeros(0), np.zeros(0), np.zeros((0, 0))
         if len(prior):
             wanted, covariance, needed = step_of(problem, trajectory, theta, noise)
+            std = np.sqrt(np.diag(covariance))
+            # What is left to go where the search ends is not known, either: small, but where the likelihood is ragged.
+            covariance = covariance + np.outer(wanted, wanted)
             step = np.clip(wanted, -_LONGEST_STEP * prior, _LONGEST_STEP * prior)
             noise = replace(noise, events=needed)
-        if before is not None and _same(before, noise, step, np.sqrt(np.diag(covariance))):
+        if before is not None and _same(before, noise, step, std):
             break
         if _rms(problem, trajectory, found.events) > most_rms:
             break
