@@ -45,6 +45,7 @@ def build_definitions(field: VectorField) -> dict[str, Callable[[], Function]]:
 
     common = {
         **({"matrices": all_matrices} if field.has_paper_form else {}),
+        **({"surfaces": lambda: _function("surfaces", [x, u, p], surfaces(field))} if field.jumps_at else {}),
         "nonlinearity": lambda: _function("nonlinearity", [x, u, p], field.f),
         "output": lambda: _function("output", [x, u, p], field.outputs),
         **of_plant("", d, field.driven_by(field.d)),
@@ -89,6 +90,12 @@ def _slopes_of_rates(
 def sensitivity(field: VectorField, w: Sequence[sympy.Expr]) -> list[sympy.Expr]:
     """Return [[∂ẋ/∂p], [∂y/∂p]], row by row."""
     return list(slopes([*field.derivatives(w), *field.outputs], field.p))
+
+
+def surfaces(field: VectorField) -> list[sympy.Expr]:
+    """Return [g, ∂g/∂x] for each surface g(x, u) = 0 at which ẋ jumps, row by row."""
+    of_x = slopes(field.jumps_at, field.x)
+    return [entry for i, g in enumerate(field.jumps_at) for entry in (g, *of_x.row(i))]
 
 
 def _function(

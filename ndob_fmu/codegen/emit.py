@@ -101,6 +101,8 @@ def equations_text(model: Model) -> str:
     functions = ("nonlinearity", "derivatives", "output", "linearisation", "input_slopes", "sensitivity")
     lines += [f"    {name}={name}," for name in functions]
     lines.append(f"    matrices={'matrices' if field.has_paper_form else None},")
+    if field.jumps_at:
+        lines.append("    surfaces=surfaces,")
     steps = ("plant_constants", "plant_trial", "observer_constants", "observer_step")
     lines.append(f"    steps=Steps({', '.join(f'{name}={name}' for name in steps)}),")
     if model.channel_expressions:

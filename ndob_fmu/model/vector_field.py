@@ -88,6 +88,19 @@ class VectorField:
         """Whether y = C x."""
         return not any(self.parts.output_rest)
 
+    @cached_property
+    def jumps_at(self) -> Expressions:
+        """The functions g(x, u) of states at whose zeros ẋ may jump: arguments of signs and sides of conditions."""
+        found: list[sympy.Expr] = []
+        for rate in self.derivatives(self.driven_by(self.d)):
+            steps = [step.args[0] for step in rate.atoms(sympy.sign, sympy.Heaviside)]
+            for g in [*steps, *(side.lhs - side.rhs for side in rate.atoms(sympy.core.relational.Relational))]:
+                within = g.free_symbols
+                known = any(sympy.simplify(g - one) == 0 or sympy.simplify(g + one) == 0 for one in found)
+                if within & {*self.x} and not within & {*self.d} and not known:
+                    found.append(g)
+        return tuple(sorted(found, key=str))
+
     @property
     def feedthrough(self) -> tuple[tuple[int, ...], ...]:
         """For each output the indices of the inputs that it depends on directly."""

@@ -13,6 +13,8 @@ from ndob_fmu.native.thunks import matrices_thunk, thunk
 from ndob_fmu.native.variable_table import number, quoted
 from ndob_fmu.runtime.equations import Equations
 
+# Functions that not every plant has.
+NOT_ALWAYS = ("matrices", "surfaces")
 # What the printed functions call of the runtime.
 USED_BY_PRINTED = {"ndob_fmu.runtime.numerics.integrate": ("largest", "next_substep")}
 
@@ -28,6 +30,7 @@ def function_texts(model: Model, eq: Equations, names: Sequence[str], more: Sequ
     parameters = model.parameter_values()
     G_f, k = model.vector_field.parts.G_f.cols, model.vector_field.G_d.cols
     sizes = {"nonlinearity": (3, G_f), "output": (3, p), "direction": (3, k)}
+    sizes["surfaces"] = (3, len(model.vector_field.jumps_at) * (1 + n))
     for prefix, inputs in (("", q), ("lumped_", k)):
         sizes |= {
             f"{prefix}derivatives": (4, n),
@@ -69,10 +72,12 @@ def equations_text(eq: Equations, functions: Mapping[str, str], name: str = "set
         f"equations->experiment.stop_time = {number(eq.experiment.stop_time)};",
         *_ranges(eq),
         *_channel(eq),
-        *(f"equations->{field}.call = {call};" for field, call in functions.items() if field != "matrices"),
     ]
-    if "matrices" in functions:
-        lines += ["equations->matrices.some = true;", f"equations->matrices.value.call = {functions['matrices']};"]
+    for field, call in functions.items():
+        if field in NOT_ALWAYS:
+            lines += [f"equations->{field}.some = true;", f"equations->{field}.value.call = {call};"]
+        else:
+            lines.append(f"equations->{field}.call = {call};")
     body = "\n".join(f"    {line}" for line in lines)
     return f"static void {name}(Equations *equations, nd_arena *memory) {{\n{body}\n}}\n"
 

@@ -19,7 +19,7 @@ from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.native import paper
 from ndob_fmu.native.continued import CONTINUED, continued_text
-from ndob_fmu.native.equations import USED_BY_PRINTED, channel_size, equations_text, function_texts
+from ndob_fmu.native.equations import NOT_ALWAYS, USED_BY_PRINTED, channel_size, equations_text, function_texts
 from ndob_fmu.native.frozen import frozen_step_text
 from ndob_fmu.native.join import joined
 from ndob_fmu.native.runtime_code import part, places, runtime_texts
@@ -214,7 +214,7 @@ def _printed(model: Model, eq: Equations, plant: Equations) -> list[str]:
     plant: as the model has it
     """
     n, m, p, q = len(eq.states), len(eq.inputs), len(eq.outputs), len(eq.disturbances)
-    calls = {name: f"call_{name}" for name in [*_PRINTED, *(("matrices",) if eq.matrices else ())]}
+    calls = {name: f"call_{name}" for name in [*_PRINTED, *(name for name in NOT_ALWAYS if getattr(eq, name))]}
     of_plant = {}
     if plant.channel is not None:
         calls |= {name: f"call_lumped_{name}" for name in _LUMPED}

@@ -34,6 +34,7 @@ def plant_code(model: Model) -> ComponentCode:
         "DISTURBANCES": q,
         "PARAMETERS": len(eq.parameters),
         "HIDDEN_STATES": len(hidden),
+        "JUMPS": int(eq.surfaces is not None),
         "MEMORY": _memory(n, q, constants),
     }
     own = "\n".join(
@@ -47,7 +48,7 @@ def plant_code(model: Model) -> ComponentCode:
         part("faults.c"),
         part("call.c"),
         part("memory.c"),
-        *function_texts(model, eq, _PRINTED, ["plant_trial"]),
+        *function_texts(model, eq, [*_PRINTED, *(["surfaces"] if eq.surfaces else [])], ["plant_trial"]),
         trial_thunk(n),
         own,
         part("plant.c"),

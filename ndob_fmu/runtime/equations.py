@@ -138,6 +138,8 @@ class Equations:
     input_slopes: input_slopes(x, u, d, p) returns [[∂ẋ/∂u], [∂y/∂u]], a tuple of (n + p) m numbers row by row
     sensitivity: sensitivity(x, u, d, p) returns [[∂ẋ/∂p], [∂y/∂p]], a tuple of (n + p) n_p numbers row by row
     steps: the steps of plant and observer as generated code
+    surfaces: surfaces(x, u, p) returns [g, ∂g/∂x], a tuple of k (1 + n) numbers row by row, for the surfaces g = 0 at
+        which ẋ jumps; None without such
     channel: the direction n in which the one disturbance acts: n(x, u) d in place of d; None without a channel
     """
 
@@ -177,6 +179,7 @@ class Equations:
     input_slopes: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     sensitivity: Callable[[Vector, Vector, Vector, Vector], tuple[float, ...]] = field(repr=False)
     steps: Steps
+    surfaces: Callable[[Vector, Vector, Vector], tuple[float, ...]] | None = field(default=None, repr=False)
     channel: Channel | None = None
 
     def linear_part(self, parameters: Vector) -> LinearPart:
@@ -208,3 +211,8 @@ class Equations:
         entries = self.linearisation(x, u, d, parameters)
         rows = np.array(entries[: n * (n + q)], dtype=float).reshape(n, n + q)
         return rows[:, :n], rows[:, n:] @ d_rate
+
+    def surfaces_at(self, x: Vector, u: Vector, parameters: Vector) -> Array:
+        """Return [g, ∂g/∂x] (k,1 + n) of the surfaces at which ẋ jumps."""
+        rows = () if self.surfaces is None else self.surfaces(x, u, parameters)
+        return np.array(rows, dtype=float).reshape(-1, 1 + len(self.states))

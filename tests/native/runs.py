@@ -19,6 +19,7 @@ from ndob_fmu.runtime.design.operating_point import driven_modes
 from ndob_fmu.runtime.design.schedule import PiSchedule
 from ndob_fmu.runtime.numerics.integrate import integrate
 from ndob_fmu.runtime.numerics.riccati import solve_riccati
+from ndob_fmu.runtime.numerics.sliding import no_surfaces
 from ndob_fmu.runtime.numerics.stiff import integrate_any
 from ndob_fmu.runtime.numerics.zeros import balance, pencil_zeros
 from ndob_fmu.runtime.step.channel_observer import read_out
@@ -146,8 +147,8 @@ def _numerics() -> None:
         J[2, 1] -= 3.0 * x[1] ** 2
         return J, np.array([1e5 * np.cos(t), 0.0, -np.sin(t)])
 
-    integrate_any(rate, slopes, np.array([1.0, 0.5, 0.0]), 0.5, 0.5)
-    integrate_any(lambda t, x: rate(t, x) * [0.0, 1.0, 1.0], slopes, np.array([1.0, 0.5, 0.0]), 0.5, 0.1)
+    integrate_any(rate, slopes, no_surfaces, np.array([1.0, 0.5, 0.0]), 0.5, 0.5)
+    integrate_any(lambda t, x: rate(t, x) * [0.0, 1.0, 1.0], slopes, no_surfaces, np.array([1.0, 0.5, 0.0]), 0.5, 0.1)
     integrate(lambda t, x: np.array([x[1], -x[0]]), np.array([1.0, 0.0]), 0.0, 3.0, 0.1)
     for n, q, p in ((4, 1, 2), (5, 2, 2), (6, 2, 3)):
         full = random.standard_normal((n, n))
@@ -167,7 +168,7 @@ RUNS = [
     partial(_sampled, JOINT, order=1, noise_std=[1e-5, 2e-5], adapt_noise=False),
     partial(_sampled, STIFF, order=1, steps=10),
     partial(_sampled, TURNED, order=1, steps=5),
-    partial(_sampled, HELD, order=1, steps=10),
+    partial(_sampled, HELD, order=2, steps=30),
     partial(_sampled, JOINT, order=2, steps=40, disturbance_rate=[0.0], noise_std=[1e-5, 2e-5]),
     _channel,
     _paper,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-_NUMERICS = "exponential hold integrate kalman phi riccati stiff transition units zeros"
+_NUMERICS = "exponential hold integrate kalman phi riccati sliding stiff transition units zeros"
 _STEP = """
     adaptive_noise channel_observer converged_step delayed_outputs error_columns faulty_samples filter_model
-    filter_state fixed_lag
+    filter_state fixed_lag held
     jump_bank layout measurement_update order_zero paper_observer prediction preparation reconsider sampled_step
     sensor_memory start_memory time_update tracking_step tuned
 """

@@ -21,6 +21,7 @@ from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.equations import ObserverDefaults
 from ndob_fmu.runtime.numerics import stiff
 from ndob_fmu.runtime.numerics.integrate import adapt_in_few, cash_karp, integrate
+from ndob_fmu.runtime.numerics.sliding import no_surfaces
 from ndob_fmu.runtime.numerics.stiff import integrate_any, integrate_stiff
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.time_update import predict_plant
@@ -33,8 +34,8 @@ WITHIN = 1e-6
 class Problem:
     """x' = f(t, x) with its slopes, counted: `evaluations` of f and `linearisations`."""
 
-    def __init__(self, f, slopes):
-        self.f, self.of_f = f, slopes
+    def __init__(self, f, slopes, surfaces=no_surfaces):
+        self.f, self.of_f, self.surfaces = f, slopes, surfaces
         self.evaluations = self.linearisations = 0
 
     def derivatives(self, t, x):
@@ -188,7 +189,7 @@ def test_a_solution_that_leaves_the_finite_numbers_is_given_up():
     assert integrate_stiff(problem.derivatives, problem.slopes, np.array([0.0]), 2.0) is None
     assert problem.evaluations <= 3 * stiff.MOST_SUBSTEPS
     with pytest.raises(IntegrationError, match=r"leaves the finite numbers|more than 100000 substeps"):
-        integrate_any(problem.derivatives, problem.slopes, np.array([0.0]), 2.0, 2.0)
+        integrate_any(problem.derivatives, problem.slopes, no_surfaces, np.array([0.0]), 2.0, 2.0)
 
 
 # -- the choice
@@ -199,7 +200,7 @@ def test_few_explicit_substeps_are_taken_as_they_always_were():
     for rate in (1.0, 30.0, 300.0):
         problem = lag(rate)
         explicit = integrate(problem.derivatives, np.array([1.0, 0.0, 0.9]), 0.0, H, H)
-        chosen = integrate_any(problem.derivatives, problem.slopes, np.array([1.0, 0.0, 0.9]), H, H)
+        chosen = integrate_any(problem.derivatives, problem.slopes, no_surfaces, np.array([1.0, 0.0, 0.9]), H, H)
         np.testing.assert_array_equal(chosen[0], explicit[0])
         assert chosen[1] == explicit[1]
         assert problem.linearisations == 0
@@ -209,9 +210,12 @@ def test_few_explicit_substeps_are_taken_as_they_always_were():
 def test_many_explicit_substeps_are_given_up_early(rate):
     problem = lag(rate)
     problem.evaluations = 0
-    assert adapt_in_few(partial(cash_karp, problem.derivatives, H), np.array([1.0, 0.0, 0.0]), H, H) is None
+    assert (
+        adapt_in_few(partial(cash_karp, problem.derivatives, H), np.array([1.0, 0.0, 0.0]), 0.0, H, H, stops=False)
+        is None
+    )
     assert problem.evaluations <= 6 * 34
-    found, substep = integrate_any(problem.derivatives, problem.slopes, np.array([1.0, 0.0, 0.0]), H, H)
+    found, substep = integrate_any(problem.derivatives, problem.slopes, no_surfaces, np.array([1.0, 0.0, 0.0]), H, H)
     np.testing.assert_allclose(found, problem.reference((1.0, 0.0, 0.0), H), rtol=WITHIN)
     assert substep == H
 
@@ -224,7 +228,7 @@ def test_a_kink_costs_the_explicit_method_few_substeps_and_is_left_to_it():
     )
     for start in ([0.299, 1.0], [0.01, -2.0], [0.295, 2.0]):
         explicit, _ = integrate(problem.derivatives, np.array(start), 0.0, H, H)
-        chosen, _ = integrate_any(problem.derivatives, problem.slopes, np.array(start), H, H)
+        chosen, _ = integrate_any(problem.derivatives, problem.slopes, no_surfaces, np.array(start), H, H)
         np.testing.assert_array_equal(chosen, explicit)
     assert problem.linearisations == 0
 
@@ -233,17 +237,24 @@ def test_what_both_methods_find_too_hard_ends_in_the_error_of_the_explicit_one()
     """A spring of the force 1e16 x³ swings 1e5 times in the step."""
     problem = Problem(lambda t, x, v: [v, -1e16 * x**3], lambda t, x, v: [[0.0, 1.0, 0.0], [-3e16 * x**2, 0.0, 0.0]])
     with pytest.raises(IntegrationError, match=r"more than 100000 substeps in one communication step"):
-        integrate_any(problem.derivatives, problem.slopes, np.array([1.0, 0.0]), H, H)
+        integrate_any(problem.derivatives, problem.slopes, no_surfaces, np.array([1.0, 0.0]), H, H)
 
 
 # -- a right-hand side that jumps
 
 
-def block(push, friction=10.0):
+def block(push, friction=10.0, surfaces=no_surfaces):
     """v̇ = push(t) − friction sign(v): a mass on a rough table."""
     return Problem(
-        lambda t, x, v: [v, push(t) - friction * np.sign(v)], lambda t, x, v: [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+        lambda t, x, v: [v, push(t) - friction * np.sign(v)],
+        lambda t, x, v: [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]],
+        surfaces,
     )
+
+
+def at_standstill(x):
+    """The surface v = 0."""
+    return np.array([[x[1], 0.0, 1.0]])
 
 
 def moved(problem, start, duration):
@@ -251,8 +262,8 @@ def moved(problem, start, duration):
     x, h, most = np.array(start), H, 0
     for k in range(round(duration / H)):
         problem.evaluations, t = 0, k * H
-        shifted = Problem(lambda since, *x, t=t: problem.f(t + since, *x), problem.of_f)
-        x, h = integrate_any(shifted.derivatives, shifted.slopes, x, H, h)
+        shifted = Problem(lambda since, *x, t=t: problem.f(t + since, *x), problem.of_f, problem.surfaces)
+        x, h = integrate_any(shifted.derivatives, shifted.slopes, shifted.surfaces, x, H, h)
         most = max(most, shifted.evaluations)
     return x, most
 
@@ -264,6 +275,56 @@ def test_friction_holds_a_mass_that_is_pushed_less():
         assert abs(v) <= 2.0 * 10.0 * H / 64.0
         assert abs(x) <= 1e-3 * 0.5 * 10.0 * 0.5**2
         assert most <= 3600
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, -0.6])
+def test_a_mass_that_a_known_surface_holds_does_not_move_and_costs_a_few_evaluations(share):
+    (x, v), most = moved(block(lambda t: share * 10.0, surfaces=at_standstill), [0.0, 0.0], 0.5)
+    assert (x, v) == pytest.approx((0.0, 0.0), abs=1e-100)
+    assert most <= 30
+
+
+def test_a_known_surface_lets_a_mass_go_inside_a_step():
+    """With the push 20 t against 10 it leaves at t = 0.503, inside a step: v = 10 s², x = 10 s³/3 after s more."""
+    problem = block(lambda t: 10.0 + 20.0 * (t - 0.503), surfaces=at_standstill)
+    (x, v), _ = moved(problem, [0.0, 0.0], 1.0)
+    assert v == pytest.approx(10.0 * 0.497**2, abs=1e-9)
+    assert x == pytest.approx(10.0 * 0.497**3 / 3.0, abs=1e-9)
+
+
+def test_a_mass_comes_to_rest_on_a_known_surface_where_its_energy_is_gone():
+    """From v = 1 against 10 after 0.05 m."""
+    (x, v), most = moved(block(lambda t: 0.0, surfaces=at_standstill), [0.0, 1.0], 0.5)
+    assert x == pytest.approx(0.05, abs=1e-12)
+    assert v == 0.0
+    assert most <= 600
+
+
+def test_two_masses_that_friction_couples_move_as_one():
+    """v₁' = 6 − 10 sign(v₁ − v₂), v₂' = 10 sign(v₁ − v₂)/2 from rest: both take 6/3 = 2, the contact 4 of 10."""
+
+    def f(t, v, w):
+        rubs = 10.0 * np.sign(v - w)
+        return [6.0 - rubs, 0.5 * rubs]
+
+    problem = Problem(f, lambda t, v, w: np.zeros((2, 3)), lambda x: np.array([[x[0] - x[1], 1.0, -1.0]]))
+    (v, w), most = moved(problem, [0.3, 0.3], 0.5)
+    assert [v, w] == pytest.approx([0.3 + 2.0 * 0.5] * 2, rel=1e-12)
+    assert most <= 30
+
+
+def test_two_surfaces_hold_and_let_go_each_for_itself():
+    """A block on a block on a table: 4 on the upper one is held by 5, against the table the whole needs 3."""
+
+    def f(t, v, w):
+        between, below = 5.0 * np.sign(v - w), 3.0 * np.sign(w)
+        return [4.0 - between, between - below]
+
+    problem = Problem(
+        f, lambda t, v, w: np.zeros((2, 3)), lambda x: np.array([[x[0] - x[1], 1.0, -1.0], [x[1], 0.0, 1.0]])
+    )
+    (v, w), _ = moved(problem, [0.0, 0.0], 0.5)
+    assert [v, w] == pytest.approx([0.25, 0.25], rel=1e-9)  # 4 − 3 moves two masses of 1 by 0.5 t
 
 
 def test_friction_lets_a_mass_go_that_is_pushed_more():

@@ -37,7 +37,7 @@ def pendulum(stiffness=25.0, cubic=0.0):
 
 def moved(model, xi, factor, H, *, starting):
     nothing = np.zeros((model.rows, 0))
-    end = predict(model, xi, joined(factor, nothing, nothing), U, H, INTENSITY, starting=starting)
+    end = predict(model, xi, joined(factor, nothing, nothing), U, H, INTENSITY, np.zeros(1), starting=starting)
     return end.xi, end.columns.factor @ end.columns.factor.T
 
 

@@ -1,6 +1,7 @@
 /* `<Name>Plant`: the plant with its built-in disturbance generators, one step for each doStep.
  *
- * The build defines STATES, INPUTS, OUTPUTS, DISTURBANCES, PARAMETERS, MEMORY, HIDDEN_STATES, `hidden` and `nominal`. */
+ * The build defines STATES, INPUTS, OUTPUTS, DISTURBANCES, PARAMETERS, MEMORY, HIDDEN_STATES, JUMPS, `hidden` and
+ * `nominal`. */
 #include "fmu.h"
 #include "translated.h"
 
@@ -61,6 +62,10 @@ static bool start(const Call *call, double start_time) {
     core->plant.equations.states.n = STATES;
     core->plant.equations.derivatives.call = call_derivatives;
     core->plant.equations.linearisation.call = call_linearisation;
+#if JUMPS
+    core->plant.equations.surfaces.some = true;
+    core->plant.equations.surfaces.value.call = call_surfaces;
+#endif
     core->plant.equations.steps.plant_constants.call = call_plant_constants;
     core->plant.equations.steps.plant_trial.call = call_plant_trial;
     core->parameters_view = nd_around(PARAMETERS, core->parameters);

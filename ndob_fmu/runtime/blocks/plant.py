@@ -17,6 +17,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.blocks.disturbance import Generator
 from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.numerics.integrate import NODES, adapt, adapt_in_few
+from ndob_fmu.runtime.numerics.sliding import all_on
 from ndob_fmu.runtime.numerics.stiff import integrate_any, integrate_stiff
 
 # Between the times at which the rate of a generator is taken, in parts of a step in which none of them jumps.
@@ -119,9 +120,17 @@ class Plant:
             tried = plant_trial(start, u, total, constants, h)
             return tried.x, tried.error_norm
 
-        explicit = adapt_in_few(trial, x, duration, substep)
+        jumps = self.equations.surfaces is not None
+        if jumps and all_on(self._surfaces(u, np.array(x)), np.array(x)):
+            after, substep = self._across_by_definition(np.array(x), substep, u, d, begin, end, duration)
+            return tuple(after.tolist()), substep
+        explicit = adapt_in_few(trial, x, 0.0, duration, substep, stops=jumps)
         if explicit is not None:
-            return explicit
+            x, since, planned = explicit
+            if since == duration:
+                return x, planned
+            after, substep = self._across_by_definition(np.array(x), substep, u, d, begin, end, duration, since)
+            return tuple(after.tolist()), substep
 
         def rates(since: float, start: Array) -> Array:
             return self._rates(u, d, begin, end, since, start)
@@ -129,15 +138,23 @@ class Plant:
         def slopes(since: float, start: Array) -> tuple[Array, Array]:
             return self._slopes(u, d, begin, end, since, start)
 
-        after = integrate_stiff(rates, slopes, np.array(x), duration)
-        if after is None:
+        stiff = integrate_stiff(rates, slopes, np.array(x), duration)
+        if stiff is None:
             return adapt(trial, x, 0.0, duration, substep)
-        return tuple(after.tolist()), substep
+        return tuple(stiff.tolist()), substep
 
     def _across_by_definition(
-        self, x: Array, substep: float, u: Vector, d: Vector, begin: float, end: float, duration: float
+        self,
+        x: Array,
+        substep: float,
+        u: Vector,
+        d: Vector,
+        begin: float,
+        end: float,
+        duration: float,
+        since: float = 0.0,
     ) -> tuple[Array, float]:
-        """Return what `_across` does, without generated code."""
+        """Return what `_across` does from a time since `begin` on, without generated code."""
 
         def rates(since: float, start: Array) -> Array:
             return self._rates(u, d, begin, end, since, start)
@@ -145,7 +162,10 @@ class Plant:
         def slopes(since: float, start: Array) -> tuple[Array, Array]:
             return self._slopes(u, d, begin, end, since, start)
 
-        return integrate_any(rates, slopes, x, duration, substep)
+        def surfaces(x: Array) -> Array:
+            return self._surfaces(u, x)
+
+        return integrate_any(rates, slopes, surfaces, x, duration, substep, since)
 
     @cached_property
     def _constants(self) -> tuple[float, ...] | None:
@@ -158,6 +178,10 @@ class Plant:
         """Return ẋ at x (n,) at a time since `begin`; d has not yet jumped at `end`."""
         total = self.disturbance(min(begin + since, nextafter(end, begin)), d)
         return np.array(self.equations.derivatives(x.tolist(), u, total, self.parameters), dtype=float)
+
+    def _surfaces(self, u: Vector, x: Array) -> Array:
+        """Return [g, ∂g/∂x] (k,1 + n) at x (n,)."""
+        return self.equations.surfaces_at(x.tolist(), u, self.parameters)
 
     def _slopes(self, u: Vector, d: Vector, begin: float, end: float, since: float, x: Array) -> tuple[Array, Array]:
         """Return ∂ẋ/∂x (n,n) and ∂ẋ/∂t (n,) at x (n,) at a time since `begin`."""

@@ -110,36 +110,47 @@ def adapt(trial: Trial[X], x: X, t: float, t_end: float, h: float) -> tuple[X, f
 
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
     """
-    return _adapt(trial, x, t, t_end, h, few=False)
+    x, _, planned = _adapt(trial, x, t, t_end, h, few=False, stops=False)
+    return x, planned
 
 
-def adapt_in_few(trial: Trial[X], x: X, t_end: float, h: float) -> tuple[X, float] | None:
-    """Return what `adapt` does from t = 0; None where that fails, or is seen to need many trials."""
+def adapt_in_few(
+    trial: Trial[X], x: X, t: float, t_end: float, h: float, *, stops: bool
+) -> tuple[X, float, float] | None:
+    """Return x, its time and the substep to try next; None where `adapt` fails, or is seen to need many trials.
+
+    stops: whether it stops before t_end where the right-hand side jumps and many trials would be needed
+    """
     try:
-        return _adapt(trial, x, 0.0, t_end, h, few=True)
+        return _adapt(trial, x, t, t_end, h, few=True, stops=stops)
     except IntegrationError:
         return None
 
 
-def _adapt(trial: Trial[X], x: X, t: float, t_end: float, h: float, *, few: bool) -> tuple[X, float]:
+def _adapt(
+    trial: Trial[X], x: X, t: float, t_end: float, h: float, *, few: bool, stops: bool
+) -> tuple[X, float, float]:
     left, trials, planned = t_end - t, 1, h
-    length, t_before = cut(planned, left), t
+    length, t_before, began = cut(planned, left), t, t
     while True:
         after, error_norm = _tried(trial, t, x, length)
         if error_norm <= 1.0:
             x = after
             if length == left:
                 # A substep cut short by the end of the interval says little against the longer one that was planned.
-                return x, max(planned, _length_after(length, error_norm))
+                return x, t_end, max(planned, _length_after(length, error_norm))
         tried = trials
         t, length, left, trials, planned = _next_of_any(t, length, tried, error_norm, t_end)
         # While errors are too large, the substep is not yet known. The instant of one jump takes so many trials too.
-        if few and error_norm <= 1.0 and _are_many(Substep(t, length, left, tried, planned)):
-            few, trials = False, trials if _jumps(trial, x, t, planned) else 0
+        if few and error_norm <= 1.0 and _are_many(Substep(t - began, length, left, tried, planned)):
+            jumps = _jumps(trial, x, t, planned)
+            if jumps and stops:
+                return x, t, planned
+            few, trials = False, trials if jumps else 0
         if trials % _TRIALS_AT_JUMPS == 0:
             too_slow = MOST_SUBSTEPS * (t - t_before) < _TRIALS_AT_JUMPS * left
             if too_slow and _jumps(trial, x, t, planned):
-                return _in_parts(trial, x, t, t_end), left
+                return _in_parts(trial, x, t, t_end), t_end, left
             t_before = t
         if not trials:
             raise IntegrationError(

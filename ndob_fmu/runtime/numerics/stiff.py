@@ -22,6 +22,7 @@ import numpy as np
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.numerics.integrate import ABSOLUTE_TOLERANCE, adapt, adapt_in_few, cash_karp, cut
 from ndob_fmu.runtime.numerics.phi import phi_functions
+from ndob_fmu.runtime.numerics.sliding import Derivatives, Surfaces, slide
 
 # Of the error of order 3; that of the result is smaller by more than ten.
 RELATIVE_TOLERANCE = 1e-7
@@ -29,16 +30,26 @@ RELATIVE_TOLERANCE = 1e-7
 MOST_SUBSTEPS = 1000
 # In parts of the communication step: at a jump of the right-hand side no substep is short enough.
 _SHORTEST = 1e-13
+# How often surfaces may hold x and let it go in one communication step.
+_MOST_STOPS = 8
 
-Derivatives = Callable[[float, Array], Array]
 # slopes(t, x) returns ∂ẋ/∂x (n,n) and ∂ẋ/∂t (n,).
 Slopes = Callable[[float, Array], tuple[Array, Array]]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the finite numbers ends in an error, not in a warning
-def integrate_any(derivatives: Derivatives, slopes: Slopes, x: Array, t_end: float, h: float) -> tuple[Array, float]:
-    """Return x (n,) at t_end of x' = derivatives(t, x) from x at 0, and the explicit substep to try next.
+def integrate_any(
+    derivatives: Derivatives,
+    slopes: Slopes,
+    surfaces: Surfaces,
+    x: Array,
+    t_end: float,
+    h: float,
+    t: float = 0.0,
+) -> tuple[Array, float]:
+    """Return x (n,) at t_end of x' = derivatives(t, x) from x at t, and the explicit substep to try next.
 
+    surfaces: those at which x' jumps, as `sliding` takes them; x has come to one where t > 0
     h: the explicit substep to try first. It stays where the explicit method would need too many.
 
     Raises IntegrationError where the solution leaves the finite numbers or needs too small substeps.
@@ -48,22 +59,35 @@ def integrate_any(derivatives: Derivatives, slopes: Slopes, x: Array, t_end: flo
     def trial(t: float, x: Array, step: float) -> tuple[Array, float]:
         return cash_karp(derivatives, last_inside, t, x, step)
 
-    explicit = adapt_in_few(trial, x, t_end, h)
+    for _ in range(_MOST_STOPS if len(surfaces(x)) else 0):
+        came = t
+        x, t = slide(derivatives, surfaces, x, came, t_end, t_end if came > 0.0 else 0.0)
+        if t == t_end:
+            return x, h
+        if t == came > 0.0:
+            return adapt(trial, x, t, t_end, h)
+        reached = adapt_in_few(trial, x, t, t_end, h, stops=True)
+        if reached is None:
+            break
+        x, t, planned = reached
+        if t == t_end:
+            return x, planned
+    explicit = adapt_in_few(trial, x, t, t_end, h, stops=False)
     if explicit is not None:
-        return explicit
-    after = integrate_stiff(derivatives, slopes, x, t_end)
-    return adapt(trial, x, 0.0, t_end, h) if after is None else (after, h)
+        return explicit[0], explicit[2]
+    after = integrate_stiff(derivatives, slopes, x, t_end, t)
+    return adapt(trial, x, t, t_end, h) if after is None else (after, h)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the finite numbers makes the substep shorter
-def integrate_stiff(derivatives: Derivatives, slopes: Slopes, x: Array, t_end: float) -> Array | None:
-    """Return x (n,) at t_end of x' = derivatives(t, x) from x at 0; None where too many substeps would be needed.
+def integrate_stiff(derivatives: Derivatives, slopes: Slopes, x: Array, t_end: float, t: float = 0.0) -> Array | None:
+    """Return x (n,) at t_end of x' = derivatives(t, x) from x at t; None where too many substeps would be needed.
 
     Where the slopes have no value they are taken to be 0, which makes the substep an explicit one.
     """
-    n, h = len(x), t_end
-    z = np.append(x, 0.0)
-    last_inside = np.nextafter(t_end, 0.0)  # at a jump in time t_end already has the new value
+    n, h, shortest = len(x), t_end - t, _SHORTEST * (t_end - t)
+    z = np.append(x, t)
+    last_inside = np.nextafter(t_end, t)  # at a jump in time t_end already has the new value
 
     def rate(z: Array) -> Array:
         return np.append(derivatives(min(float(z[n]), last_inside), z[:n]), 1.0)
@@ -77,7 +101,7 @@ def integrate_stiff(derivatives: Derivatives, slopes: Slopes, x: Array, t_end: f
     for _ in range(MOST_SUBSTEPS):
         left = t_end - float(z[n])
         h = cut(h, left)
-        if not h >= _SHORTEST * t_end:
+        if not h >= shortest:
             return None
         after, error_norm = _trial(rate, slope(z), z, h)
         if error_norm <= 1.0:

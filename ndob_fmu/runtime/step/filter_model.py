@@ -14,6 +14,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.like_disturbance import along_disturbance
 from ndob_fmu.runtime.equations import HIGHEST_ORDER, Equations, Vector
 from ndob_fmu.runtime.generated_steps import ConvergedGain, Numbers
+from ndob_fmu.runtime.numerics.sliding import Sliding, all_on, beside, released
 from ndob_fmu.runtime.numerics.units import units_of_inputs
 from ndob_fmu.runtime.step.adaptive_noise import in_use
 from ndob_fmu.runtime.step.delayed_outputs import PLACES, delayed
@@ -71,9 +72,13 @@ class FilterModel:
     @cached_property
     def jump_channel(self) -> Array:
         """The channel (N,q2) through which d drives ξ."""
-        channel = np.zeros((self.layout.size, self.layout.q))
-        channel[self.layout.disturbance] = np.eye(self.layout.q)
-        return channel
+        return self.on_disturbance(np.ones(self.layout.q))[: self.layout.size]
+
+    def on_disturbance(self, sizes: Array) -> Array:
+        """Return columns (N + past,q2) of errors of d of these sizes (q2,)."""
+        columns = np.zeros((self.rows, self.layout.q))
+        columns[self.layout.disturbance] = np.diag(sizes)
+        return columns
 
     @property
     def adapts(self) -> bool:
@@ -231,7 +236,7 @@ class FilterModel:
         n, q = self.layout.n, self.layout.q
         if not np.any(self.like_disturbance):
             return np.zeros(q)
-        both, sensitivity = self._linearised(xi, u)
+        both, sensitivity = self._linearised(self.beside_surfaces(xi, u), u)
         if sensitivity is None:
             return np.zeros(q)
         std = self.like_disturbance * self.start_std[self.layout.parameters]
@@ -243,6 +248,49 @@ class FilterModel:
         layout, n = self.layout, self.layout.n
         of_parameters = units_of_inputs(F[:n, layout.parameters] * H, self.natural_units[:n])
         return np.concatenate([self.natural_units, np.ones(len(layout.biased)), of_parameters])
+
+    def is_on_a_surface(self, xi: Array, u: Vector) -> bool:
+        """Return whether x̂ is on a surface at which ẋ jumps, at ξ̂ and u (m,)."""
+        return self.equations.surfaces is not None and bool(all_on(self.surfaces(xi, u), xi[: self.layout.n]))
+
+    def surfaces(self, xi: Array, u: Vector) -> Array:
+        """Return [g, ∂g/∂x] (k,1 + n) of the surfaces at which ẋ jumps, at ξ̂ and u (m,)."""
+        return self.equations.surfaces_at(xi[: self.layout.n].tolist(), u, self.with_parameters(xi))
+
+    def on_surfaces(self, xi: Array, u: Vector, *, held: bool) -> Sliding | None:
+        """Return how x̂ lies to the surfaces that it is on, at ξ̂ and u (m,); None where it is on none.
+
+        held: whether all of them count as if they held it
+        """
+        eq, parameters, table = self.equations, self.with_parameters(xi), self.surfaces(xi, u)
+        x, d = xi[: self.layout.n], xi[self.layout.disturbance].tolist() or [0.0] * self.layout.q
+        on = all_on(table, x)
+        if not on:
+            return None
+
+        def rate(x: Array) -> Array:
+            return np.array(eq.derivatives(x.tolist(), u, d, parameters), dtype=float)
+
+        here = beside(rate, table, x, on)
+        return here if held else released(here)
+
+    def beside_surfaces(self, xi: Array, u: Vector) -> Array:
+        """Return ξ̂ (N + past,) just below all surfaces that x̂ is on."""
+        here = self.on_surfaces(xi, u, held=True)
+        if here is None:
+            return xi
+        moved: Array = xi.copy()
+        moved[: self.layout.n] = here.x - here.apart.sum(axis=1)
+        return moved
+
+    def coasted(self, xi: Array, H: float) -> Array:
+        """Return by how much d̂ and its derivatives change ξ̂ (N + past,) in H s by themselves."""
+        N, term = self.layout.size, xi[: self.layout.size]
+        change = np.zeros(len(xi))
+        for k in range(1, self.layout.order):
+            term = self.layout.chain @ term * (H / k)
+            change[:N] += term
+        return change
 
     def output_slopes(self, xi: Array, u: Vector) -> Array:
         """Return C (p,N) of y, linearised at ξ̂ (N or more,) and u (m,)."""

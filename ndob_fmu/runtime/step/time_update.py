@@ -21,6 +21,7 @@ from ndob_fmu.runtime.numerics.stiff import integrate_any
 from ndob_fmu.runtime.numerics.transition import NO_PARTS, Transition, transition
 from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
+from ndob_fmu.runtime.step.held import projection_of, still_held
 from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -49,20 +50,35 @@ class Predicted(NamedTuple):
 
 
 def predict(
-    model: FilterModel, xi: Array, columns: ErrorColumns, u: Vector, H: float, intensity: Array, *, starting: bool
+    model: FilterModel,
+    xi: Array,
+    columns: ErrorColumns,
+    u: Vector,
+    H: float,
+    intensity: Array,
+    unseen: Array,
+    *,
+    starting: bool,
 ) -> Predicted:
     """Return the end of a step H (s) that begins with ξ̂ (N + past,).
 
     intensity (q2,): of the noise behind the r-th derivative of d
+    unseen (q2,): the variance that jumps of d add in a step in which surfaces hold the state, so that none shows
     starting: whether ξ̂ may be far off
 
     Raises IntegrationError where ξ̂ leaves the finite numbers.
     """
     channel = model.noise_directions * model.noise_sizes(intensity, H)
+    xi = still_held(model, xi, columns, u, H)
     end = predict_mean(model, xi, u, H)
     F, F_end = model.rates(xi, u), model.rates(end, u)
     mean = 0.5 * (F + F_end)
     units = model.units(mean, H)
+    projection = None if starting else projection_of(model, end, u)
+    if projection is not None:
+        columns, Phi, responses = _held(model, columns, mean, channel, H, units, projection)
+        columns = columns.more(model.on_disturbance(np.sqrt(unseen)))
+        return Predicted(end, columns, Phi, responses)
     change = float(np.abs((F_end - F) * units / units[:, None]).sum(axis=0).max()) * H
     if change <= _STRAIGHT:
         done = transition(mean, channel, H, model.jump_channel, AFTER_JUMPS, units)
@@ -77,6 +93,30 @@ def predict(
         columns = _moved(model, xi, columns, u, H / parts, done, starting=starting)
         whole, xi, F = done.Phi @ whole, end, F_end
     return Predicted(end, columns, whole, jumps)
+
+
+def _held(
+    model: FilterModel, columns: ErrorColumns, F: Array, channel: Array, H: float, units: Array, projection: Array
+) -> tuple[ErrorColumns, Array, Array]:
+    """Return columns, Φ (N,N) and the responses to jumps after a step H (s) in which surfaces hold the state.
+
+    F (N,N): without them
+    projection (N,N): Π
+
+    Signatures move as without surfaces: a jump of d that takes the state off them shows as such.
+    """
+    N, count, jumps = model.layout.size, columns.factor_count, columns.jump_count
+    free = transition(F, channel, H, model.jump_channel, AFTER_JUMPS, units)
+    done = transition(projection @ F, channel, H, model.jump_channel, NO_PARTS, units)
+    Phi = projection @ done.Phi
+    values = columns.values.copy()
+    values[:N] = Phi @ columns.values[:N]
+    values[:N, count : count + jumps] = free.Phi @ columns.signatures[:N]
+    noise = projection @ done.noise
+    whole = np.zeros((model.rows, count + noise.shape[1]))
+    whole[:, :count] = values[:, :count]
+    whole[:N, count:] = noise
+    return columns.with_values(values).with_factor(triangular(whole)), Phi, free.responses
 
 
 def _moved(
@@ -104,18 +144,20 @@ def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array
     packed = layout.packed(xi[: layout.size])
     if held is not None:
         packed = (*packed[: layout.n], *held.tolist(), *packed[layout.n + layout.q :])
-    try:
-        constants = model.step_constants(parameters)
-        done = eq.steps.observer_step(
-            packed[: layout.n + HIGHEST_ORDER * layout.q],
-            (*u, *model.no_sample),
-            model.no_sample,
-            constants,
-            model.no_gain,
-            H,
-        )
-    except (ArithmeticError, ValueError):
-        done = None
+    done = None
+    if not model.is_on_a_surface(xi, u):
+        try:
+            constants = model.step_constants(parameters)
+            done = eq.steps.observer_step(
+                packed[: layout.n + HIGHEST_ORDER * layout.q],
+                (*u, *model.no_sample),
+                model.no_sample,
+                constants,
+                model.no_gain,
+                H,
+            )
+        except (ArithmeticError, ValueError):
+            done = None
     if done is not None:
         after[: layout.series.stop] = done.xi_hat[: layout.series.stop]
     else:
@@ -176,6 +218,9 @@ def predict_plant(
     def slopes(t: float, x: Array) -> tuple[Array, Array]:
         return eq.slopes(x.tolist(), u, taylor(series, t).tolist(), taylor(series[1:], t), parameters)
 
-    x_after, _ = integrate_any(derivatives, slopes, xi[:n], H, H)
+    def surfaces(x: Array) -> Array:
+        return eq.surfaces_at(x.tolist(), u, parameters)
+
+    x_after, _ = integrate_any(derivatives, slopes, surfaces, xi[:n], H, H)
     later = [sum((series[j] * H ** (j - i) / factorial(j - i) for j in range(i, r)), np.zeros(q)) for i in range(r)]
     return np.concatenate([x_after, *later])

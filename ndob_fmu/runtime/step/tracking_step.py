@@ -13,7 +13,8 @@ from ndob_fmu.runtime.step.error_columns import ErrorColumns
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverState
 from ndob_fmu.runtime.step.fixed_lag import at_lag, is_due, later, moved, remembered, with_new_signatures
-from ndob_fmu.runtime.step.jump_bank import later_bank, moments, with_newest
+from ndob_fmu.runtime.step.held import limited
+from ndob_fmu.runtime.step.jump_bank import later_bank, moments, unseen_variance, with_newest
 from ndob_fmu.runtime.step.measurement_update import Measured, bounded
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
@@ -38,6 +39,7 @@ def step_with_covariance(
     measured, memory = measured_or_reconsidered(model, xi, state, y)
     more = model.taken_for_disturbance(measured.xi, state.u)
     xi, columns, lagged = bounded(model, measured.xi, measured.columns, measured.lagged, more)
+    xi, columns, lagged = limited(model, xi, columns, lagged, state.u)
 
     added = measured.mixture
     at_sample = xi
@@ -62,7 +64,8 @@ def step_with_covariance(
         xi, columns, past_age = _with_this_sample(model, xi, columns, past_age, state.u, H)
 
     starting = memory.age < model.start_samples
-    end = predict(model, xi, columns, u, H, intensity, starting=starting)
+    unseen = unseen_variance(measured.jumps, model.bound * model.scale)
+    end = predict(model, xi, columns, u, H, intensity, unseen, starting=starting)
     published, variance = end.xi, None
     if added.shift is not None and added.variance is not None:
         published = _with_shift(

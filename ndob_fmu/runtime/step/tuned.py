@@ -171,6 +171,9 @@ def frozen(
     started = memory.age >= model.start_samples and memory.steady >= STEADY
     if not (tuned.freezes and started) or memory.lost:
         return after
+    # What holds the plant hides the disturbance, and the covariance must say how long.
+    if model.is_on_a_surface(np.array(after.xi_hat), after.u):
+        return after
     if measured.suspicious or (model.adapts and not _noise_is_settled(model, memory, measured)):
         return after
     noise = for_a_frozen_gain(model.noise_ratios(memory.sensors), model.least_noise.tolist())
