@@ -103,11 +103,19 @@ def _affine_in(expressions: Sequence[sympy.Expr], d: Symbols) -> tuple[list[symp
     for i, expression in enumerate(expressions):
         for j, disturbance in enumerate(d):
             if disturbance in expression.free_symbols:
+                if _is_cased_by(expression, {disturbance}):
+                    raise NotAffineError(i, disturbance)
                 slopes[i, j] = _free_of(sympy.diff(expression, disturbance), d)
                 if slopes[i, j].free_symbols & {*d} or slopes[i, j].has(sympy.Derivative, sympy.Subs):
                     raise NotAffineError(i, disturbance)
     nothing = dict.fromkeys(d, sympy.S.Zero)
     return [expression.xreplace(nothing) for expression in expressions], slopes
+
+
+def _is_cased_by(expression: sympy.Expr, variables: set[sympy.Symbol]) -> bool:
+    """Return whether variables choose between cases, which may be constants, so that no slope shows them."""
+    conditions = (condition for cases in expression.atoms(sympy.Piecewise) for _, condition in cases.args)
+    return any(condition.free_symbols & variables for condition in conditions)
 
 
 def _free_of(slope: sympy.Expr, d: Symbols) -> sympy.Expr:
@@ -144,7 +152,8 @@ def _linear_part(
         left = []
         for term in _terms(expression, {*variables}):
             found = {symbol: sympy.diff(term, symbol) for symbol in variables if symbol in term.free_symbols}
-            if found and not any(slope.free_symbols & {*variables} for slope in found.values()):
+            constant = not any(slope.free_symbols & {*variables} for slope in found.values())
+            if found and constant and not _is_cased_by(term, {*variables}):
                 for symbol, slope in found.items():
                     slopes[i, variables.index(symbol)] += slope
                 left.append(term.xreplace(dict.fromkeys(variables, sympy.S.Zero)))

@@ -223,3 +223,18 @@ def test_what_is_affine_only_after_simplification_is_taken():
     x, d = symbols("x", 1), symbols("d", 1)
     parts = split([(x[0] + d[0]) ** 2 - d[0] ** 2], [x[0]], x, (), d, channel=False)
     assert parts.G_d[0, 0] == 2 * x[0]
+
+
+def test_cases_that_are_constants_stay_as_they_were_written():
+    """Friction of 1 or −1 has the slope 0 in v, and is not a constant."""
+    v, u, d = sympy.symbols("v u d", real=True)
+    friction = sympy.Piecewise((1, v > 0), (-1, True))
+    parts = split([u + d - 3 * friction - 2 * v], [v], [v], [u], [d], channel=False)
+    assert parts.A[0, 0] == -2
+    assert (parts.G_f * sympy.Matrix(parts.f))[0] == -3 * friction
+
+
+def test_a_disturbance_that_chooses_between_constants_is_refused():
+    v, d = sympy.symbols("v d", real=True)
+    with pytest.raises(NotAffineError):
+        split([sympy.Piecewise((1, d > 0), (-1, True)) - v], [v], [v], [], [d], channel=False)

@@ -150,7 +150,7 @@ def _adapt(
         if trials % _TRIALS_AT_JUMPS == 0:
             too_slow = MOST_SUBSTEPS * (t - t_before) < _TRIALS_AT_JUMPS * left
             if too_slow and _jumps(trial, x, t, planned):
-                return _in_parts(trial, x, t, t_end), t_end, left
+                return (x, t, planned) if stops else (_in_parts(trial, x, t, t_end), t_end, left)
             t_before = t
         if not trials:
             raise IntegrationError(

@@ -59,14 +59,14 @@ def integrate_any(
     def trial(t: float, x: Array, step: float) -> tuple[Array, float]:
         return cash_karp(derivatives, last_inside, t, x, step)
 
+    planned = h
     for _ in range(_MOST_STOPS if len(surfaces(x)) else 0):
         came = t
         x, t = slide(derivatives, surfaces, x, came, t_end, t_end if came > 0.0 else 0.0)
         if t == t_end:
             return x, h
-        if t == came > 0.0:
-            return adapt(trial, x, t, t_end, h)
-        reached = adapt_in_few(trial, x, t, t_end, h, stops=True)
+        # Where x has not come to the surface yet, or goes through it, the substeps go on as they were.
+        reached = adapt_in_few(trial, x, t, t_end, planned if t == came else h, stops=True)
         if reached is None:
             break
         x, t, planned = reached

@@ -72,13 +72,9 @@ class FilterModel:
     @cached_property
     def jump_channel(self) -> Array:
         """The channel (N,q2) through which d drives ξ."""
-        return self.on_disturbance(np.ones(self.layout.q))[: self.layout.size]
-
-    def on_disturbance(self, sizes: Array) -> Array:
-        """Return columns (N + past,q2) of errors of d of these sizes (q2,)."""
-        columns = np.zeros((self.rows, self.layout.q))
-        columns[self.layout.disturbance] = np.diag(sizes)
-        return columns
+        channel = np.zeros((self.layout.size, self.layout.q))
+        channel[self.layout.disturbance] = np.eye(self.layout.q)
+        return channel
 
     @property
     def adapts(self) -> bool:

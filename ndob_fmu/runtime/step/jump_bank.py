@@ -31,8 +31,8 @@ _RATE_MEMORY, _LEAST, _MOST = 1000.0, 3e-4, 0.005
 _SHARES = np.array([0.7, 0.3])  # at the sample, within the step
 # A jump may be as large as from one bound to the other: V = 2 D₀².
 _VARIANCE = 2.0
-# The variance of d where a jump may have brought it to any value within its bounds, over D₀².
-_ANYWHERE = 1.0 / 3.0
+# The variance of a jump that does not show, over D₀²: one between any two values within half the bounds.
+_UNSEEN_VARIANCE = 1.0 / 6.0
 LENGTH = 12
 # The instants of a jump, in parts of the step, and their weights.
 INSTANTS = (0.0, 0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5)
@@ -122,7 +122,7 @@ def _expected_weights(rate: float, count: int) -> Array:
 
 def unseen_variance(bank: JumpBank, disturbance_bound: Array) -> Array:
     """Return the variance (q2,) that jumps add to d in a step in which none would show, for D₀ (q2,)."""
-    return np.asarray(min(max(bank.rate, _LEAST), _MOST) * _ANYWHERE * disturbance_bound**2)
+    return np.asarray(min(max(bank.rate, _LEAST), _MOST) * _UNSEEN_VARIANCE * disturbance_bound**2)
 
 
 def first_sizes(disturbance_bound: Array) -> Array:

@@ -76,8 +76,7 @@ def predict(
     units = model.units(mean, H)
     projection = None if starting else projection_of(model, end, u)
     if projection is not None:
-        columns, Phi, responses = _held(model, columns, mean, channel, H, units, projection)
-        columns = columns.more(model.on_disturbance(np.sqrt(unseen)))
+        columns, Phi, responses = _held(model, columns, mean, channel, H, units, projection, unseen)
         return Predicted(end, columns, Phi, responses)
     change = float(np.abs((F_end - F) * units / units[:, None]).sum(axis=0).max()) * H
     if change <= _STRAIGHT:
@@ -96,12 +95,20 @@ def predict(
 
 
 def _held(
-    model: FilterModel, columns: ErrorColumns, F: Array, channel: Array, H: float, units: Array, projection: Array
+    model: FilterModel,
+    columns: ErrorColumns,
+    F: Array,
+    channel: Array,
+    H: float,
+    units: Array,
+    projection: Array,
+    unseen: Array,
 ) -> tuple[ErrorColumns, Array, Array]:
     """Return columns, Φ (N,N) and the responses to jumps after a step H (s) in which surfaces hold the state.
 
     F (N,N): without them
     projection (N,N): Π
+    unseen (q2,): as `predict` takes it
 
     Signatures move as without surfaces: a jump of d that takes the state off them shows as such.
     """
@@ -112,7 +119,7 @@ def _held(
     values = columns.values.copy()
     values[:N] = Phi @ columns.values[:N]
     values[:N, count : count + jumps] = free.Phi @ columns.signatures[:N]
-    noise = projection @ done.noise
+    noise = np.concatenate([projection @ done.noise, model.jump_channel * np.sqrt(unseen)], axis=1)
     whole = np.zeros((model.rows, count + noise.shape[1]))
     whole[:, :count] = values[:, :count]
     whole[:N, count:] = noise
