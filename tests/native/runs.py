@@ -149,6 +149,14 @@ def _numerics() -> None:
 
     integrate_any(rate, slopes, no_surfaces, np.array([1.0, 0.5, 0.0]), 0.5, 0.5)
     integrate_any(lambda t, x: rate(t, x) * [0.0, 1.0, 1.0], slopes, no_surfaces, np.array([1.0, 0.5, 0.0]), 0.5, 0.1)
+    integrate_any(
+        lambda t, x: np.array([1.0 - 3.0 * np.sign(x[0])]),
+        lambda t, x: (np.zeros((1, 1)), np.zeros(1)),
+        no_surfaces,
+        np.array([0.01]),
+        0.5,
+        0.1,
+    )
     integrate(lambda t, x: np.array([x[1], -x[0]]), np.array([1.0, 0.0]), 0.0, 3.0, 0.1)
     for n, q, p in ((4, 1, 2), (5, 2, 2), (6, 2, 3)):
         full = random.standard_normal((n, n))
