@@ -258,16 +258,15 @@ class FilterModel:
 
         held: whether all of them count as if they held it
         """
+        if not self.is_on_a_surface(xi, u):
+            return None
         eq, parameters, table = self.equations, self.with_parameters(xi), self.surfaces(xi, u)
         x, d = xi[: self.layout.n], xi[self.layout.disturbance].tolist() or [0.0] * self.layout.q
-        on = all_on(table, x)
-        if not on:
-            return None
 
         def rate(x: Array) -> Array:
             return np.array(eq.derivatives(x.tolist(), u, d, parameters), dtype=float)
 
-        here = beside(rate, table, x, on)
+        here = beside(rate, table, x, all_on(table, x))
         return here if held else released(here)
 
     def beside_surfaces(self, xi: Array, u: Vector) -> Array:
