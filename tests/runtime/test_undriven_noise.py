@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from ndob_fmu.codegen.compile_model import compile_model
+from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.design.augmented import augment, discretise
 from ndob_fmu.runtime.design.stationary_design import scaled_noise
 from ndob_fmu.runtime.design.tuning import Knowledge, tuned_intensities
@@ -12,6 +16,8 @@ from ndob_fmu.runtime.design.undriven_noise import undriven_noise
 from ndob_fmu.runtime.linear_part import LinearPart
 from ndob_fmu.runtime.numerics.exponential import exponential
 from ndob_fmu.runtime.numerics.kalman import stationary, update
+from ndob_fmu.runtime.step.sampled_observer import sampled_observer
+from ndob_fmu.runtime.step.settings import observer_settings
 
 SIGMA = np.array([1e-5, 1e-3])
 PACE = 2.0 * np.pi
@@ -107,3 +113,25 @@ def test_a_state_that_only_inputs_drive_gets_noise_by_the_size_of_their_terms():
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     found = undriven_noise(A, np.eye(2), np.zeros((2, 0)), np.array([1.0, 2.0]), np.array([0.0, 30.0]), 1e-2)
     np.testing.assert_allclose(found, [0.02**2 * 4.0 * 1e-2, 0.02**2 * 900.0 * 1e-2])
+
+
+def test_a_start_that_is_as_uncertain_as_it_is_large_makes_its_state_no_larger():
+    """The torque of a generator behind its command: it is as large as it starts, whatever is said of the start."""
+    model = Model(
+        name="Generator",
+        states=["rate", "torque"],
+        inputs=["command"],
+        outputs=["rate", "torque"],
+        disturbances=["wind"],
+        A=[[-0.1, -1.0], [0.0, -10.0]],
+        B=[[0.0], [10.0]],
+        C=np.eye(2),
+        G_d=[[1.0], [0.0]],
+        x0=[1.0, 300.0],
+    )
+    unsaid, known = (
+        sampled_observer(eq, (), observer_settings(eq), eq.xhat0).undriven
+        for eq in map(compile_model, (model, replace(model, xhat0_std=[1.0, 0.1])))
+    )
+    assert unsaid[1] > 0.0
+    np.testing.assert_allclose(unsaid, known)

@@ -139,14 +139,14 @@ def _like_disturbance(
 
 
 def _undriven(linear: LinearPart, settings: ObserverSettings, x_hat: Vector, u_size: Array) -> Array:
-    """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ and its error.
+    """Return the intensities (n,) of `undriven_noise`, over the step, with states of the size of x̂₀ or its error.
 
     u_size (m,): size of the inputs
     """
     if settings.order == 0:
         return np.zeros(len(linear.A))
     noise = np.diag(np.array(settings.state_noise, dtype=float))
-    size = np.abs(np.array(x_hat, dtype=float)) + np.array(settings.x_std, dtype=float)
+    size = np.maximum(np.abs(np.array(x_hat, dtype=float)), np.array(settings.x_std, dtype=float))
     by_input = np.asarray(np.linalg.norm(linear.B * u_size, axis=1), dtype=float)
     return undriven_noise(linear.A, linear.C, np.hstack([linear.G_d, noise]), size, by_input, 1.0)
 
