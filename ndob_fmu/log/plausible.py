@@ -1,4 +1,4 @@
-"""What in a log does not look like the model's signals: a column in another unit, or another column."""
+"""What in a log does not look like the model's signals, as a column in another unit, or tells less than it seems to."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ndob_fmu.log.held_rows import HeldRows
 from ndob_fmu.log.log import Found, Log
 from ndob_fmu.log.online import Stretch, usual_step
 from ndob_fmu.log.own_input import OwnInput
@@ -33,7 +34,7 @@ class Plausibility:
 
     def __init__(self, eq: Equations, observer: SampledObserver, bound: Sequence[float], pace: Pace | None) -> None:
         self._eq, self._bound, self._pace, self._step = eq, np.array(bound, dtype=float), pace, 0.0
-        self._own_input = OwnInput(eq, observer)
+        self._own_input, self._held = OwnInput(eq, observer), HeldRows(eq, observer)
         self._names = (*eq.inputs, *eq.outputs)
         count, everything = len(self._names), (-np.inf, np.inf)
         low, high = np.array([eq.ranges.get(name, everything) for name in self._names]).reshape(count, 2).T
@@ -75,6 +76,7 @@ class Plausibility:
     def add(self, stretch: Stretch) -> None:
         """Count an estimate."""
         self._own_input.add(stretch)
+        self._held.add(stretch)
         off = np.abs(stretch.online.d_at_sample - self._eq.disturbance_nominal)
         self._rows += len(off)
         self._beyond += (off > _BEYOND_BOUND * self._bound).sum(axis=0)
@@ -94,7 +96,7 @@ class Plausibility:
                     f"{name} goes from {self._least[i]:.4g} to {self._most[i]:.4g}{self._unit(name)}, far outside its "
                     f"range, {self._low[i]:g} to {self._high[i]:g}, in {100.0 * share:.0f} % of the rows: {_LIKELY}"
                 )
-        found += self._own_input.warnings()
+        found += [*self._own_input.warnings(), *self._held.warnings()]
         found += self._start
         for i, name in enumerate(self._eq.disturbances):
             if self._beyond[i] > _SHARE * max(self._rows, 1):

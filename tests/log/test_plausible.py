@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy
 
+from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError
 from ndob_fmu.log.diagnostics import OutputDiagnosis
 from ndob_fmu.log.estimate_log import estimate_log
@@ -12,6 +14,8 @@ from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.tune.workbench import Workbench
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.base_errors import IntegrationError
+from ndob_fmu.runtime.blocks.disturbance import Generator
+from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.equations import Experiment
 from tests.log.test_estimate_log import CART, NOISE, TUNED, gusts, simulated, write_log
 
@@ -127,6 +131,34 @@ def test_an_output_that_follows_the_input_of_its_own_row_is_named(tmp_path, monk
     model = replace(CELL, parameters={"resistance": resistance}, x0=[1.0], xhat0=[1.0])
     found = estimate_log(model, log, tmp_path / "out").warnings
     assert any(line.startswith("voltage follows the inputs of its own row") for line in found) == (rows_behind == 0)
+
+
+@pytest.mark.parametrize(("push", "is_held"), [(12.0, True), (40.0, False)])
+def test_a_mass_that_friction_holds_is_named(tmp_path, monkeypatch, push, is_held):
+    """With 10 N of friction, a push of 12 N leaves it in its place for most of the time, a swing of 40 N does not."""
+    monkeypatch.setattr("ndob_fmu.log.estimate_log.write_figures", lambda *_, **__: None)
+    rough_table = Model(
+        name="RoughTable",
+        states=["x", "v"],
+        inputs=["u"],
+        outputs=["x"],
+        disturbances=["d"],
+        dynamics=lambda x, u, d, p: [x.v, u.u + d.d - x.v - 10.0 * sympy.sign(x.v)],
+        noise_std=1e-5,
+        disturbance_bound=8.0,
+        experiment=Experiment(stop_time=2.0, step_size=5e-3),
+    )
+    plant = Plant(compile_model(rough_table), (), (Generator(),))
+    mass, rows = plant.init((0.0, 0.0), 0.0), []
+    for k in range(400):
+        t = 5e-3 * k
+        u = push * np.sin(6.0 * t) if is_held else push * np.sign(np.sin(6.0 * t))
+        rows.append((t, u, mass.x[0]))
+        mass = plant.step(mass, (u,), (1.0,), t + 5e-3)
+    log = tmp_path / "log.csv"
+    log.write_text("time,u,x\n" + "".join(f"{t},{u},{x}\n" for t, u, x in rows))
+    found = estimate_log(rough_table, log, tmp_path / "out").warnings
+    assert any(line.startswith("friction holds the plant in") for line in found) == is_held
 
 
 def test_an_output_without_samples_is_named(warnings):
