@@ -6,8 +6,9 @@ FOLDER, by default build/fmus, holds the FMUs. An experiment is a file `<Name>_r
 fmus/<Name>/: how to run the FMU `<Name>`, with the inputs in `…_in.csv` if there is one, and how wide the tube around
 `…_ref.csv` is. Exit code 1 if a signal leaves its tube. Needs fmpy and pyfunnel, not the package that built the FMUs.
 
-The tube is as wide as RelTol times the span of the signal (its magnitude, where it is constant), to both sides. Times
-are not given any tolerance, for the communication points are those of the reference.
+The tube is as wide as RelTol times the span of the signal (its magnitude, where it is constant), to both sides; that of
+`consistency` is ten times as wide. Times are not given any tolerance, for the communication points are those of the
+reference.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ Array = NDArray[np.float64]
 REFERENCES = Path(__file__).resolve().parents[1]
 # The paper's experiments are run by the paper's method; the observer's start value is the other one.
 START_VALUES = {"FlexibleJointObserver_paper": ("method", "1")}
+# The samples of the references have no noise, so that the residuals are errors of rounding, which differ from processor
+# to processor. `consistency` has their squares: on two processors it differed by 1.2 tubes of RelTol alone.
+WIDER = {"consistency": 10.0}
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,8 @@ def excess(reference: dict[str, Array], result: dict[str, Array], tolerance: flo
         if not (complete and np.isfinite(got).all()):
             found[name] = np.inf
             continue
-        width = tolerance * float(np.ptp(expected) or np.abs(expected).max() or 1.0)
+        span = float(np.ptp(expected) or np.abs(expected).max() or 1.0)
+        width = WIDER.get(name, 1.0) * tolerance * span
         with tempfile.TemporaryDirectory(prefix="funnel_") as folder:
             if compareAndReport(times, expected, times, got, outputDirectory=folder, atoly=width) != 0:
                 raise RuntimeError(f"pyfunnel cannot compare {name}")

@@ -144,7 +144,7 @@ def _not_a_unit() -> tuple[type[Exception], ...]:
 def _registry() -> pint.UnitRegistry[float]:
     import pint  # slow to load: only for units that nobody defines
 
-    registry: pint.UnitRegistry[float] = pint.UnitRegistry()  # a third of a second each
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(on_redefinition="ignore")  # a third of a second each
     for definition in _DEFINITIONS:
         registry.define(definition)
     return registry

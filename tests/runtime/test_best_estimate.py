@@ -276,7 +276,9 @@ def test_a_hypothesis_of_a_jump_is_the_filter_that_was_told_of_it():
             nodes = len(shares)
             root = bank.sizes[hypothesis, :nodes, :nodes]
             size = bank.sizes[hypothesis, :nodes, 3]
-            signatures = columns[:, 3 * hypothesis : 3 * hypothesis + nodes]
+            # Each step has one signature of the first kind, and three of the other.
+            first = 4 * (hypothesis // 2) + hypothesis % 2
+            signatures = columns[:, first : first + nodes]
             mean, covariance = batch.estimate()
             corrected = plain.estimate()[1] + signatures @ root @ root.T @ signatures.T
             np.testing.assert_allclose(xi + signatures @ size, mean, rtol=0, atol=1e-8 * BOUND)
