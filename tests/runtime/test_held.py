@@ -54,7 +54,7 @@ def along(eq, push, load, count, *, true_friction=FRICTION, seed=1, **settings):
 
 @pytest.mark.parametrize(("seed", "wrong"), [(1, 0.0), (1, -0.15), (2, 0.15)])
 def test_the_error_bar_holds_the_error_while_friction_holds_the_mass(seed, wrong):
-    """A mass that is pushed back and forth, at rest for a part of the time; friction as told, and 15 % off."""
+    """A mass is pushed back and forth and stands still for a part of the time; friction as told, and 15 % off."""
     random = np.random.default_rng(seed)
     pace, phase = 2.0 * math.pi * random.uniform(0.5, 1.0), random.uniform(0.0, 6.0)
     errors, bars, held, *_ = along(
