@@ -58,12 +58,13 @@ def first_block(
 
 
 def run_along(
-    model: Model, observer: SampledObserver, values: Mapping[str, Any], native: Path | None, block: Log
+    model: Model, observer: SampledObserver, values: Mapping[str, Any], native: Path | None, block: Log, steps: int
 ) -> ObserverRun:
     """Run an observer of a model along a block.
 
     values: of all parameters, which the observer has
     native: folder of native FMUs, as in `estimate_log`
+    steps: that observers of the model take in all, in this run and in later ones
 
     Raises UsageError for a gap that cannot be bridged, DesignError where the observer has no tuning for the usual step,
     IntegrationError where its estimate leaves the finite numbers.
@@ -75,7 +76,7 @@ def run_along(
     check.start(first, observer.estimate(observer.init(x_hat), first.tolist()))
     # Values in another unit overflow in the equations, of which an error or a warning of ours tells.
     with (
-        native_run(model, native, values, observer, x_hat, len(block.time)) as run,
+        native_run(model, native, values, observer, x_hat, steps) as run,
         np.errstate(over="ignore", invalid="ignore"),
     ):
         try:

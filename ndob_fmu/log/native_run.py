@@ -115,7 +115,7 @@ def native_run(
     """Yield what takes the steps of an observer of a model from x̂₀ (n,), by a native FMU in a folder or that is kept.
 
     values: of all parameters, which the observer has
-    rows: how many there are at least; for many of them an FMU is built
+    rows: how many there are at least, along all of which observers of the model run; for many of them one is built
 
     It is None where `native_observer` finds no FMU, and without a folder.
     """

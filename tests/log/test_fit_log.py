@@ -17,7 +17,8 @@ from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
 from ndob_fmu.log.fit.error_bars import widened
 from ndob_fmu.log.fit.fit_log import fit_log
 from ndob_fmu.log.fit.likelihood import likelihood
-from ndob_fmu.log.fit.noise_fit import NoiseFit, moved
+from ndob_fmu.log.fit.noise_fit import NoiseFit, NoiseLikelihood, moved
+from ndob_fmu.log.fit.noise_slopes import noise_slopes
 from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.read_log import read_log
@@ -48,9 +49,12 @@ def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
         return likelihood(*moved(record, problem.layout, search.columns, logs), events)
 
     centre, step = np.array([0.4, -0.3, 1.0]), 1e-4
+    back = NoiseLikelihood(record, problem.layout, search.columns).at(centre, events)
+    assert back.value == at(centre).value
     for i, slope in enumerate(at(centre).slopes):
         up, down = (at(centre + sign * step * np.eye(3)[i]).value for sign in (1.0, -1.0))
         assert (up - down) / (2.0 * step) == pytest.approx(slope, rel=1e-3)
+        assert (up - down) / (2.0 * step) == pytest.approx(back.slopes[i], rel=1e-5)
 
 
 @pytest.mark.parametrize(("kind", "order"), [("walk", 1), ("sine", 2)])
@@ -61,12 +65,27 @@ def test_a_noise_that_is_told_far_too_large_is_found_in_a_few_steps(tmp_path, mo
     run = told.online(tmp_path / "log.csv", None, None)
     problem, calls = told.problem(run, order), []
     record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
-    monkeypatch.setattr(noise_fit, "likelihood", lambda *one: calls.append(one) or likelihood(*one))
+    monkeypatch.setattr(noise_fit, "noise_slopes", lambda *one: calls.append(one) or noise_slopes(*one))
     monkeypatch.setattr(noise_fit, "_MOST_TURNS", 1)
     found = noise_fit.fit_noise(record, search, problem.layout, None)
     std = np.array([0.1, 1.0]) * np.exp(0.5 * found.log_variance)
     np.testing.assert_allclose(std, [*NOISE.values()], rtol=0.15)
     assert len(calls) <= 10
+
+
+def test_the_information_about_the_noise_is_taken_once_where_the_noise_is_known_already(tmp_path, monkeypatch):
+    """It costs a pass for each logarithm, and a step towards the most likely noise two."""
+    made_log(tmp_path / "log.csv", "walk", 3, rows=700)
+    told = setup()
+    run = told.online(tmp_path / "log.csv", None, None)
+    problem, taken = told.problem(run, 1), []
+    record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
+    known = noise_fit.fit_noise(record, search, problem.layout, None)
+    monkeypatch.setattr(noise_fit, "likelihood", lambda *one: taken.append(one) or likelihood(*one))
+    off = replace(known, log_variance=known.log_variance + 0.2, log_intensity=known.log_intensity - 0.3)
+    found = noise_fit.fit_noise(record, search, problem.layout, off)
+    assert len(taken) == 1
+    np.testing.assert_allclose(found.logs, known.logs, atol=0.2 * np.sqrt(np.diag(known.covariance)).min())
 
 
 def fitted_to_a_jump(folder, at):

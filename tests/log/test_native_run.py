@@ -10,6 +10,8 @@ import pytest
 from ndob_fmu.cli import main
 from ndob_fmu.errors import NdobError
 from ndob_fmu.interface.told_observer import told_observer
+from ndob_fmu.log import first_block
+from ndob_fmu.log.fit import tried_rates
 from ndob_fmu.log.fit.setup import Setup
 from ndob_fmu.log.log_columns import Signals
 from ndob_fmu.log.native_run import native_run
@@ -130,6 +132,20 @@ def test_fit_runs_the_native_observer_along_the_log(fmus, rough):
     assert (native.build, python.build) == ("native", "Python")
     got, expected = native.stretch.online.predicted, python.stretch.online.predicted
     np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_fit_counts_the_rows_of_all_its_runs_where_it_decides_whether_to_build_the_observer(monkeypatch, rough):
+    said = []
+
+    def noted(model, folder, values, observer, x_hat, rows):
+        said.append(rows)
+        return native_run(model, None, values, observer, x_hat, rows)
+
+    monkeypatch.setattr(first_block, "native_run", noted)
+    told = Setup(CART, EQUATIONS, told_values(EQUATIONS, {}), (), 0.3, None)
+    run = told.online(rough, None, None)
+    told.along({}, run, 50)
+    assert said == [run.rows * (1 + tried_rates.TRIED), 50]
 
 
 def is_taken(model, folder, rows=700):

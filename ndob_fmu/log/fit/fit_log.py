@@ -19,7 +19,7 @@ from ndob_fmu.log.fit.offsets import as_start_values
 from ndob_fmu.log.fit.pace import rates_for
 from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
-from ndob_fmu.log.fit.tried_rates import Followed, best_followed
+from ndob_fmu.log.fit.tried_rates import MOST_ROWS, Followed, best_followed
 from ndob_fmu.log.told import Told
 from ndob_fmu.log.told_values import start_values_text, told_values
 from ndob_fmu.model.model import Model
@@ -34,8 +34,6 @@ _BEYOND, _FAR_BEYOND = 1.2, 2.0
 # A jump that is too small to be noticed at once must be followed, too. Of the mean rate of all jumps: where few are so
 # small, and where an observer that follows most of them errs less than one that waits until it is sure of them.
 _OF_JUMPS, _MOST_OF_JUMPS = 0.3, 10.0
-# Rows along which rates are tried.
-_MOST_TRIED = 2000
 
 
 @dataclass(frozen=True)
@@ -209,7 +207,7 @@ def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, 
         return rates
     lowest, highest = _OF_JUMPS * best.jumping_rate, np.maximum(rates, _MOST_OF_JUMPS * best.jumping_rate)
     first = best.problem.rows.model.start_samples
-    smoothed = best.disturbance[: _MOST_TRIED - first]
+    smoothed = best.disturbance[: MOST_ROWS - first]
 
     def follow(rates: Array) -> Followed:
         said = setup.along({**found, **setup.named("disturbance_rate", rates)}, run, first + len(smoothed))

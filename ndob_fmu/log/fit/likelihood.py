@@ -5,19 +5,19 @@ With innovations e and variances α of the samples, and e', α' their slopes by 
     L = −½ Σ (log 2πα + e²/α)
     ∂L/∂ψ = Σ (−e'e/α + ½ (α'/α) (e²/α − 1)),     information = Σ (e'e'ᵀ/α + ½ α'α'ᵀ/α²)
 
-The slopes are differences: the filter runs along all records, each moved by one ψ, side by side. The record is taken in
-pieces that begin with a wide covariance, so that their likelihoods add up.
+These slopes are differences: the filter runs along a record for each ψ that is moved. The record is taken in pieces
+that begin with a wide covariance, so that their likelihoods add up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ndob_fmu.log.smooth.events import Events, Jumps, with_outliers
-from ndob_fmu.log.smooth.linear_record import LinearRecord
+from ndob_fmu.log.smooth.linear_record import Forward, LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord
 from ndob_fmu.log.smooth.smoother import forward
 from ndob_fmu.runtime.arrays import Array
@@ -31,6 +31,15 @@ class Moved:
     record: CutRecord
     columns: Jumps
     by: float = 0.0
+
+    def filtered(self, events: Events) -> Forward:
+        """Return what the filter finds in the pieces (L,S,…), with some events."""
+        return forward(self.with_events(events), self.record.pieces.placed(self.columns.at(events.jumps)))
+
+    def with_events(self, events: Events) -> LinearRecord:
+        """Return the pieces with the variances of some outliers."""
+        variance = with_outliers(self.record.whole.variance, events)
+        return replace(self.record.parts, variance=variance[self.record.pieces.rows])
 
 
 @dataclass(frozen=True)
@@ -65,46 +74,29 @@ class Likelihood:
 
 def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelihood:
     """Return the likelihood of a record with events, and what those say that are moved by one ψ each."""
-    every = [centre, *moved]
-    parts = _beside([_told(one.record, events) for one in every])
-    placed = [one.record.pieces.placed(one.columns.at(events.jumps)) for one in every]
-    run = forward(parts, {k: np.stack([jumps[k] for jumps in placed]) for k in placed[0]})
-    there = np.isfinite(run.alpha[:, 0])
-    alpha = np.where(np.isfinite(run.alpha), run.alpha, 1.0)
-    std, by = np.sqrt(alpha[:, 0]), np.array([one.by for one in moved])[:, None, None]
-    e, e_moved = _in_time(run.innovation[:, 0] / std), _of_each(run.innovation[:, 1:] / std[:, None])
-    more = np.where(there[:, None], alpha[:, 1:] / alpha[:, :1] - 1.0, 0.0)
+    run = centre.filtered(events)
+    there = np.isfinite(run.alpha)
+    alpha = np.where(there, run.alpha, 1.0)
+    std, e, answer = np.sqrt(alpha), _in_time(run.innovation / np.sqrt(alpha)), list[Array]()
+    for one in moved:
+        other = one.filtered(events)
+        more = np.where(there, other.alpha / alpha - 1.0, 0.0) * np.sqrt(0.5)
+        answer.append(np.concatenate([_in_time(other.innovation / std) - e, _in_time(more)]) / one.by)
     return Likelihood(
-        values=np.asarray(run.log_likelihoods[:, 0].sum(axis=0)),
+        values=np.asarray(run.log_likelihoods.sum(axis=0)),
         surprise=np.concatenate([e, np.where(_in_time(there), 1.0 - e**2, 0.0) * np.sqrt(0.5)]),
-        answer=np.concatenate([(e_moved - e) / by, _of_each(more) * np.sqrt(0.5) / by], axis=1),
+        answer=np.reshape(answer, (len(moved), 2 * len(e), e.shape[1])),
     )
 
 
-def scaled(record: LinearRecord, layout: Layout, variance: Array, intensity: Array) -> LinearRecord:
-    """Return a record with factors on the variances (p,) of samples and on the intensities (q2,)."""
+def faster(record: LinearRecord, layout: Layout, intensity: Array) -> LinearRecord:
+    """Return a record with factors on the intensities (q2,)."""
     noise = record.noise.copy()
     by_direction = noise.reshape(*noise.shape[:-1], -1, layout.size)  # the columns of each direction
     by_direction[..., : layout.q, :] *= np.sqrt(intensity)[:, None]
-    return replace(record, noise=noise, variance=record.variance * variance)
-
-
-def _told(record: CutRecord, events: Events) -> LinearRecord:
-    return replace(record.parts, variance=with_outliers(record.whole.variance, events)[record.pieces.rows])
-
-
-def _beside(records: Sequence[LinearRecord]) -> LinearRecord:
-    """Return records (L,S,…) side by side (L,V,S,…)."""
-    at = {one.name: 0 if one.name in ("start", "start_factor") else 1 for one in fields(LinearRecord)}
-    return LinearRecord(**{name: np.stack([getattr(r, name) for r in records], axis=a) for name, a in at.items()})
+    return replace(record, noise=noise)
 
 
 def _in_time(pieces: Array) -> Array:
     """Return numbers (L,S,p) of pieces as (p,R), one piece after the other."""
     return np.asarray(pieces.transpose(2, 1, 0).reshape(pieces.shape[2], -1))
-
-
-def _of_each(pieces: Array) -> Array:
-    """Return numbers (L,V,S,p) of pieces as (V,p,R)."""
-    L, V, S, p = pieces.shape
-    return np.asarray(pieces.transpose(1, 3, 2, 0).reshape(V, p, S * L))

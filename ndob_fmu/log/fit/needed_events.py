@@ -34,11 +34,11 @@ class _Sums:
     information: Array
 
     @staticmethod
-    def of(found: Likelihood, n: int) -> _Sums:
-        """Return those about the first n numbers of ψ, of each piece."""
-        S = len(found.values)
-        answer, surprise = found.answer[:n].reshape(n, -1, S, found.answer.shape[2] // S), found.surprise
-        surprise = surprise.reshape(*answer.shape[1:])
+    def of(found: Likelihood) -> _Sums:
+        """Return those of each piece."""
+        (n, _, rows), S = found.answer.shape, len(found.values)
+        answer = found.answer.reshape(n, -1, S, rows // S)
+        surprise = found.surprise.reshape(*answer.shape[1:])
         return _Sums(
             found.values,
             -np.einsum("mcsr,csr->sm", answer, surprise),
@@ -73,20 +73,20 @@ def needed_events(
 ) -> Events:
     """Return the events that explain more than the parameters θ (n,) could.
 
-    told: told(events) is the likelihood of pieces with events, and what they say of θ and other numbers
+    told: told(events) is the likelihood of pieces with events, and what they say of θ
     first (S,): the rows that the pieces begin with
     slopes (n,), precision (n,n): of the prior of θ, at θ
     """
-    n, prior = len(slopes), _Sums(np.zeros(()), slopes, precision)
+    prior = _Sums(np.zeros(()), slopes, precision)
 
     def explained(sums: _Sums, some: Events) -> float:
         """Return what events explain with the best parameters, less what they cost."""
         return sums.total.and_also(prior).with_best() - some.costs
 
-    known = _Sums.of(told(events), n)
+    known = _Sums.of(told(events))
     all_explain, fewer = explained(known, events), dict[float, Events]()
     for some in _one_of_each_piece(events, first):
-        others = _Sums.of(told(_without(events, *some.values())), n)
+        others = _Sums.of(told(_without(events, *some.values())))
         for s, one in some.items():
             left = _without(events, one)
             more = explained(known.but_for(s, others), left) - all_explain
@@ -95,7 +95,7 @@ def needed_events(
     given_up = [fewer[more] for more in sorted(fewer, reverse=True)]
     while given_up:
         needed = _without(events, *given_up)
-        if len(given_up) == 1 or explained(_Sums.of(told(needed), n), needed) > all_explain:
+        if len(given_up) == 1 or explained(_Sums.of(told(needed)), needed) > all_explain:
             return needed
         given_up = given_up[: len(given_up) // 2]
     return events

@@ -7,14 +7,17 @@ jumps and outliers are found in turn with noise and pace; each is a part of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood, scaled
+from ndob_fmu.log.fit.likelihood import Moved, faster, likelihood
+from ndob_fmu.log.fit.noise_slopes import covariances_of_pace, noise_slopes
 from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Jumps
-from ndob_fmu.log.smooth.linear_record import LinearRecord
+from ndob_fmu.log.smooth.linear_record import Forward, LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord
+from ndob_fmu.log.smooth.smoother import backward
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -25,6 +28,8 @@ _MOVED = 1e-4
 # Steps to the most likely ones, at most, of at most so much in a logarithm. One that gains less is not worth another,
 # and a likelihood that is less than before by as much shows a step that was too long.
 _MOST_STEPS, _LONGEST, _GAIN = 40, 3.0, 0.02
+# Where a logarithm has moved by more, the information is taken anew.
+_FAR = 1.0
 # A curvature that was seen along a step counts down to this part of the expected one.
 _FLAT = 0.1
 # A gain of the log-likelihood that chance does not explain.
@@ -52,13 +57,19 @@ class NoiseFit:
         """Both logarithms (p + q2,)."""
         return np.concatenate([self.log_variance, self.log_intensity])
 
+    @property
+    def precision(self) -> Array:
+        """The inverse of the covariance."""
+        return np.asarray(np.linalg.inv(self.covariance))
+
     def for_intensity(self, old: Array, new: Array) -> NoiseFit:
         """Return the same pace for a record that was made with other intensities (q2,)."""
         return replace(self, log_intensity=self.log_intensity + np.log(old / new))
 
     def applied(self, record: LinearRecord, layout: Layout) -> LinearRecord:
         """Return a record with the noise and pace that were found."""
-        return scaled(record, layout, np.exp(self.log_variance), np.exp(self.log_intensity))
+        noisy = replace(record, variance=record.variance * np.exp(self.log_variance))
+        return faster(noisy, layout, np.exp(self.log_intensity))
 
     def cut(self, record: CutRecord, layout: Layout) -> CutRecord:
         """Return a record in pieces with the noise and pace that were found."""
@@ -81,19 +92,20 @@ class EventSearch:
 def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: NoiseFit | None) -> NoiseFit:
     """Return the noise of each output and the pace of each disturbance; `start`: where to begin."""
     p, q = record.whole.variance.shape[1], layout.q
-    at = np.zeros(p + q) if start is None else start.logs
+    at, known = (np.zeros(p + q), None) if start is None else (start.logs, start.precision)
     # Pieces may leave out the last rows, in which an event may be known.
     events = Events() if start is None else start.events.before(len(record.whole.rows))
+    noise = NoiseLikelihood(record, layout, search.columns)
     for _ in range(_MOST_TURNS):
-        at, told = _most_likely(record, layout, search.columns, events, at)
+        at, value, known = _most_likely(noise, events, at, known)
         found = search.within(_scaled(record, layout, at), events)
         if found == events:
             break
         events = found
     else:
-        told = _told(record, layout, search.columns, events, at)
-    covariance = np.asarray(np.linalg.inv(_precision(told.information)))
-    return NoiseFit(at[:p], at[p:], covariance, events, told.value - events.costs)
+        value = noise.at(at, events).value
+    covariance = np.asarray(np.linalg.inv(noise.precision(at, events)))
+    return NoiseFit(at[:p], at[p:], covariance, events, value - events.costs)
 
 
 def is_jumping(record: CutRecord, search: EventSearch, layout: Layout, found: NoiseFit) -> bool:
@@ -101,50 +113,105 @@ def is_jumping(record: CutRecord, search: EventSearch, layout: Layout, found: No
     if not found.events.jumps:
         return False
     others = Events(outliers=found.events.outliers)
-    _, without = _most_likely(record, layout, search.columns, others, found.logs)
-    return found.value > without.value - others.costs + _SURE
+    noise = NoiseLikelihood(record, layout, search.columns)
+    _, without, _ = _most_likely(noise, others, found.logs, found.precision)
+    return found.value > without - others.costs + _SURE
 
 
 def moved(record: CutRecord, layout: Layout, columns: Jumps, at: Array) -> tuple[Moved, list[Moved]]:
     """Return a record with factors of logarithms (p + q2,) on noise and pace, and with each of these moved."""
-    return Moved(_scaled(record, layout, at), columns), [
-        Moved(_scaled(record, layout, at + step), columns, _MOVED) for step in _MOVED * np.eye(len(at))
+    here, p = _scaled(record, layout, at), record.whole.variance.shape[1]
+    return Moved(here, columns), [
+        Moved(_scaled(here, layout, step, paced=bool(step[p:].any())), columns, _MOVED)
+        for step in _MOVED * np.eye(len(at))
     ]
 
 
-def _told(record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array) -> Likelihood:
-    return likelihood(*moved(record, layout, columns, at), events)
+@dataclass(frozen=True)
+class NoiseLikelihood:
+    """A record whose noise and pace have factors, and the columns of jumps in it."""
+
+    record: CutRecord
+    layout: Layout
+    columns: Jumps
+
+    def at(self, logs: Array, events: Events) -> _Point:
+        """Return the likelihood at logarithms (p + q2,) of these factors."""
+        return _Point(self, logs, Moved(_scaled(self.record, self.layout, logs), self.columns), events)
+
+    def precision(self, logs: Array, events: Events) -> Array:
+        """Return the information about these logarithms (m,m), with a wide prior for what the record does not tell."""
+        found = likelihood(*moved(self.record, self.layout, self.columns, logs), events)
+        return np.asarray(found.information + np.eye(len(logs)) / UNKNOWN**2)
+
+    @cached_property
+    def of_pace(self) -> Array:
+        """As `covariances_of_pace`, of the record as it is."""
+        return covariances_of_pace(self.record.parts, self.layout.q)
 
 
-def _scaled(record: CutRecord, layout: Layout, at: Array) -> CutRecord:
+@dataclass(frozen=True)
+class _Point:
+    """The likelihood at some noise and pace. Each number is computed when it is first asked for."""
+
+    noise: NoiseLikelihood
+    logs: Array
+    told: Moved
+    events: Events
+
+    @cached_property
+    def value(self) -> float:
+        """L."""
+        return float(self._run.log_likelihoods.sum())
+
+    @cached_property
+    def slopes(self) -> Array:
+        """∂L by the logarithms (p + q2,)."""
+        record = self.told.with_events(self.events)
+        factors = np.exp(self.logs[-self.noise.layout.q :])
+        return noise_slopes(record, backward(record, self._run), self.noise.of_pace, factors)
+
+    @cached_property
+    def _run(self) -> Forward:
+        return self.told.filtered(self.events)
+
+
+def _scaled(record: CutRecord, layout: Layout, at: Array, *, paced: bool = True) -> CutRecord:
+    """Return a record with factors of logarithms (p + q2,); paced: whether any of the pace is not 0."""
     variance, intensity = np.split(np.exp(at), [record.whole.variance.shape[1]])
     whole = replace(record.whole, variance=record.whole.variance * variance)
-    return replace(record, whole=whole, parts=scaled(record.parts, layout, variance, intensity))
+    parts = replace(record.parts, variance=record.parts.variance * variance)
+    return replace(record, whole=whole, parts=faster(parts, layout, intensity) if paced else parts)
 
 
-def _most_likely(
-    record: CutRecord, layout: Layout, columns: Jumps, events: Events, at: Array
-) -> tuple[Array, Likelihood]:
-    """Return the most likely logarithms (p + q2,), by steps of Fisher's scoring, and the likelihood about there.
+def _most_likely(noise: NoiseLikelihood, events: Events, at: Array, known: Array | None) -> tuple[Array, float, Array]:
+    """Return the most likely logarithms (p + q2,), the likelihood about there, and a precision.
 
-    Scoring takes the information that a right model has. That a step found counts in the next one, as in BFGS.
+    known: a precision to begin with
+
+    Steps of Fisher's scoring, which takes the information that a right model has. That costs as much as many steps, so
+    it is taken anew only where the logarithms have moved far; in between, what a step found counts in the next ones, as
+    in BFGS.
     """
-    told = _told(record, layout, columns, events, at)
-    precision = _precision(told.information)
+    here = noise.at(at, events)
+    precision, taken_at = (noise.precision(at, events) if known is None else known), at
     for _ in range(_MOST_STEPS):
-        scored = np.asarray(np.linalg.solve(precision, told.slopes))
+        scored = np.asarray(np.linalg.solve(precision, here.slopes))
         step = np.clip(at + _in_logarithms(scored), -UNKNOWN, UNKNOWN) - at
-        if min(told.slopes @ scored, np.abs(told.slopes) @ np.abs(step)) < _GAIN:
-            return at + step, told
-        further = _told(record, layout, columns, events, at + step)
-        if further.value < told.value - _GAIN:
+        if min(here.slopes @ scored, np.abs(here.slopes) @ np.abs(step)) < _GAIN:
+            return at + step, here.value, precision
+        further = noise.at(at + step, events)
+        if further.value < here.value - _GAIN:
             step = scored * np.max(np.abs(step)) / np.max(np.abs(scored))  # straight up, however little
-        while further.value < told.value - _GAIN:
+        while further.value < here.value - _GAIN:
             step = 0.5 * step
-            further = _told(record, layout, columns, events, at + step)
-        precision = _as_seen(_precision(further.information), step, told.slopes - further.slopes)
-        at, told = at + step, further
-    return at, told
+            further = noise.at(at + step, events)
+        at = at + step
+        if np.max(np.abs(at - taken_at)) > _FAR:
+            precision, taken_at = noise.precision(at, events), at
+        precision = _as_seen(precision, step, here.slopes - further.slopes)
+        here = further
+    return at, here.value, precision
 
 
 def _in_logarithms(step: Array) -> Array:
@@ -159,8 +226,3 @@ def _as_seen(precision: Array, step: Array, fall: Array) -> Array:
     if seen < _FLAT * along:
         return precision
     return np.asarray(precision - np.outer(expected, expected) / along + np.outer(fall, fall) / seen)
-
-
-def _precision(information: Array) -> Array:
-    """Return an information, with that of a wide prior for what the record does not tell."""
-    return np.asarray(information + np.eye(len(information)) / UNKNOWN**2)

@@ -55,14 +55,14 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
 
     record, columns = pieces(np.zeros(n))
     centre, of_noise = moved(record, problem.layout, columns, noise.logs)
-    every = [*map(told, np.diag(_MOVED * prior)), *of_noise]
+    of_parameters = [*map(told, np.diag(_MOVED * prior))]
     of_prior = np.concatenate([prior**-2.0, np.full(len(of_noise), UNKNOWN**-2)])
     prior_slopes = -(theta - problem.told) / prior**2
 
-    events = needed_events(
-        noise.events, partial(likelihood, centre, every), record.pieces.first, prior_slopes, np.diag(of_prior[:n])
-    )
-    found = likelihood(centre, every, events)
+    by_parameters = partial(likelihood, centre, of_parameters)
+    first, precision = record.pieces.first, np.diag(of_prior[:n])
+    events = needed_events(noise.events, by_parameters, first, prior_slopes, precision)
+    found = likelihood(centre, [*of_parameters, *of_noise], events)
     slopes = found.slopes
     slopes[:n] += prior_slopes
     inverse = np.asarray(np.linalg.inv(found.information + np.diag(of_prior)))

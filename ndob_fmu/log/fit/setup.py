@@ -16,6 +16,7 @@ from ndob_fmu.interface.told_observer import for_disturbances, told_observer
 from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
 from ndob_fmu.log.fit.offsets import check_offsets, offset_names, open_offsets
 from ndob_fmu.log.fit.problem import Problem
+from ndob_fmu.log.fit.tried_rates import MOST_ROWS, TRIED
 from ndob_fmu.log.log import Log
 from ndob_fmu.log.online import Online, Stretch
 from ndob_fmu.log.smooth.along import Samples, in_layout, unpacked_rows
@@ -104,13 +105,15 @@ class Setup:
                 likely=next(iter(block.log.found.warnings), ""),
             )
         begin(f"fitting, part 1 of 5: running the observer along {block.rows} rows")
-        observer, found = self._run({**self._first_values, **self.open_offsets(block.log)}, block.log)
+        steps = block.rows + TRIED * min(block.rows, MOST_ROWS)
+        observer, found = self._run({**self._first_values, **self.open_offsets(block.log)}, block.log, steps)
         return Run(found.stretch, observer, block.is_whole, found.build, found.warnings)
 
     def along(self, changes: Mapping[str, Any], run: Run, rows: int) -> Online:
         """Return what an observer with changed values says along the first rows of a log."""
         log = run.stretch.rows(slice(rows)).log
-        return self._run({**self.values, **changes}, replace(log, outputs=log.outputs - self._offset))[1].stretch.online
+        log = replace(log, outputs=log.outputs - self._offset)
+        return self._run({**self.values, **changes}, log, len(log.time))[1].stretch.online
 
     def open_offsets(self, log: Log) -> dict[str, float]:
         """Return standard deviations of the free offsets, with which they are estimated until they are fitted."""
@@ -126,10 +129,11 @@ class Setup:
         """Values of the observer that runs along the log first, which needs a model of the disturbance."""
         return {**self.values, "disturbance_order": max(1, self.values["disturbance_order"])}
 
-    def _run(self, values: Mapping[str, Any], log: Log) -> tuple[SampledObserver, ObserverRun]:
+    def _run(self, values: Mapping[str, Any], log: Log, steps: int) -> tuple[SampledObserver, ObserverRun]:
+        """Run an observer along a log; steps: that observers of the model take in all."""
         known = self._known({**values, "lag": 0.0})
         observer = self._observer(known)
-        return observer, run_along(self.model, observer, known, self.native, log)
+        return observer, run_along(self.model, observer, known, self.native, log, steps)
 
     def problem(self, run: Run, order: int) -> Problem:
         """Return what a class of disturbances of an order is fitted to."""

@@ -13,7 +13,9 @@ import numpy as np
 
 from ndob_fmu.runtime.arrays import Array
 
-_TRIED = 4
+TRIED = 4
+# Rows along which they are tried, at most.
+MOST_ROWS = 2000
 # Error bars hold where so many errors are within two of them; else where as many are as with the highest rate.
 _HOLD = 0.9
 
@@ -36,7 +38,7 @@ def best_followed(lowest: Array, highest: Array, follow: Callable[[Array], Follo
 
     follow: follow(rates) runs the observer along the rows of `smoothed` (K,q2)
     """
-    shares = np.linspace(0.0, 1.0, _TRIED)[:, None]
+    shares = np.linspace(0.0, 1.0, TRIED)[:, None]
     tried = [_tried(rates, follow(rates), smoothed) for rates in lowest * (highest / lowest) ** shares]
     hold = min(_HOLD, tried[-1].hold)
     return min((one for one in tried if one.hold >= hold), key=lambda one: one.error).rates

@@ -46,6 +46,11 @@ class Known:
         score = np.linalg.solve(factor, self.score)
         return float(0.5 * score @ score + np.log(np.diag(factor)).sum())
 
+    @property
+    def least_left(self) -> float:
+        """The least eigenvalue of I − M."""
+        return float(self.left[0, 0]) if self.left.size == 1 else float(np.linalg.eigvalsh(self.left)[0])
+
     def changed(self, covariance: Array, weight: Array, score: Array) -> Known:
         """Return it after a change, with which it has a covariance (c,·)."""
         weighted = covariance @ weight
@@ -72,7 +77,7 @@ class EventScores:
         """Take away events, then add new ones; return the rows of which the scores change."""
         if (len(self._effects) + len(gone) + len(new)) * _ROWS_OF_A_CHANGE > len(self.of_state):
             self.are_known = False
-        if any(np.linalg.eigvalsh(self.known[which].left)[0] < _LEAST_TO_TAKE_AWAY for which in gone):
+        if any(self.known[which].least_left < _LEAST_TO_TAKE_AWAY for which in gone):
             self.are_known = False
         if not self.are_known:
             return np.zeros(0, dtype=np.intp)
@@ -111,13 +116,16 @@ class EventScores:
         weighted = g @ weight
         self.of_sample[rows] -= weighted @ score
         self.of_sample_variance[rows] -= (weighted * g).sum(axis=2)
-        for which, one in self.known.items():
-            covariance = effect.of(one.source)
-            if covariance is not None:
-                changed = one.changed(covariance, weight, score)
-                least = _LEAST_LEFT * float(np.linalg.eigvalsh(one.left)[0])
-                self.are_known = self.are_known and float(np.linalg.eigvalsh(changed.left)[0]) > least
-                self.known[which] = changed
+        near = [(which, one) for which, one in self.known.items() if rows.start <= one.source.k < rows.stop]
+        outliers = [(which, one) for which, one in near if one.source.output is not None]
+        jumps = [(which, one) for which, one in near if one.source.output is None]
+        changed = _changed_outliers(effect, [one for _, one in outliers], weight, score)
+        for _, one in jumps:
+            covariance = one.source.columns.T @ effect.of_state[one.source.k - effect.first]
+            changed.append(one.changed(covariance, weight, score))
+        for (which, one), other in zip([*outliers, *jumps], changed, strict=True):
+            self.are_known = self.are_known and other.least_left > _LEAST_LEFT * one.least_left
+            self.known[which] = other
 
     def _of_gone(self, which: Event) -> tuple[Array, Array]:
         """Return s_U and W of an event that is taken away."""
@@ -137,3 +145,18 @@ class EventScores:
             return J.T @ self.of_state[k], J.T @ self.of_state_variance[k] @ J
         u, D = self.of_sample[k, source.output], self.of_sample_variance[k, source.output]
         return J[0] * u, J.T @ J * D
+
+
+def _changed_outliers(effect: Effect, outliers: list[Known], weight: Array, score: Array) -> list[Known]:
+    """Return outliers at rows of an effect as `Known.changed`, all at once: there may be hundreds."""
+    if not outliers:
+        return []
+    at = [(one.source.k - effect.first, one.source.output) for one in outliers]
+    size, scores, left = (
+        np.array(column)
+        for column in zip(*((one.source.columns[0], one.score, one.left[0]) for one in outliers), strict=True)
+    )
+    covariance = size * effect.of_sample[tuple(np.array(at).T)]
+    weighted = covariance @ weight
+    scores, left = scores - (weighted @ score)[:, None], left + (weighted * covariance).sum(axis=1, keepdims=True)
+    return [Known(one.source, s, r) for one, s, r in zip(outliers, scores, left[:, None], strict=True)]

@@ -118,7 +118,7 @@ class Workbench:
         check_smoothed("tune", eq, observer)
         block = first_block(eq, path, names, units)
         begin(f"running the observer along {block.rows} rows of the log")
-        run = run_along(model, observer, self._values, native, block.log)
+        run = run_along(model, observer, self._values, native, block.log, block.rows)
         self.stretch = run.stretch
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
