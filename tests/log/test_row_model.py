@@ -119,9 +119,41 @@ def test_equations_for_rows_have_the_functions_that_numpy_lacks():
 def test_a_chain_of_integrators_has_units_in_which_its_norm_is_small_however_long_the_step():
     chain = np.diag([5.0, 0.1], 1)
     units = calm_units(chain, np.ones(3))
-    assert (chain * (units / units[:, None])).sum(axis=1).max() <= 0.25
+    assert (chain * (units / units[:, None])).sum(axis=0).max() <= 0.25
+
+
+@pytest.mark.parametrize(("frequency", "parts"), [(200.0, 1), (400.0, 2), (800.0, 4)])
+def test_an_oscillator_whose_states_have_far_different_sizes_takes_as_many_parts_as_its_frequency_needs(
+    frequency, parts
+):
+    """Beside a long gap too: the units are for the usual step."""
+    model = Model(
+        name="Oscillator",
+        states=["place", "rate"],
+        inputs=["force"],
+        outputs=["place"],
+        disturbances=["load"],
+        dynamics=lambda x, u, d, p: [x.rate, u.force + d.load - frequency**2 * x.place],
+        parameters={},
+    )
+    eq, rows = compile_model(model), 50
+    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(1e-3).model
+    taken, equations, H = [], RowModel(found, row_functions(model)), np.full(rows, 1e-3)
+    H[20] = 0.05
+    in_parts = RowModel._in_parts
+
+    def noted(self, xi, *others, **named):
+        taken.extend([others[5]] * len(xi))
+        return in_parts(self, xi, *others, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RowModel, "_in_parts", noted)
+        sizes = np.ones((rows, found.noise_directions.shape[1]))
+        zeros = np.zeros((rows, found.layout.size)), np.zeros((rows, 1))
+        equations.steps(*zeros, H, found.noise_directions, sizes, apart=True)
+    assert np.median(taken) == parts
 
 
 def test_units_stay_as_they_are_where_the_plant_is_too_fast_for_any():
-    fast = np.array([[0.3, 1.0], [0.0, 0.1]])
+    fast = np.array([[4.0, 1.0], [0.0, 0.1]])
     np.testing.assert_array_equal(calm_units(fast, np.array([2.0, 4.0])), [2.0, 4.0])

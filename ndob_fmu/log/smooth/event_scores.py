@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,6 @@ from ndob_fmu.log.smooth.event_effects import AlongRecord, Effect, Source
 from ndob_fmu.log.smooth.events import Explained
 from ndob_fmu.runtime.arrays import Array
 
-# An instant and the output of an outlier, None for a jump.
-Event = tuple[int, int | None]
 # A change takes as long as a pass over so many rows. Behind more of them another pass is faster.
 _ROWS_OF_A_CHANGE = 100
 # What is left of I − M where events that explain the same are taken away, at least, to be more than rounding errors.
@@ -57,51 +55,82 @@ class Known:
         return Known(self.source, self.score - weighted @ score, self.left + weighted @ covariance.T)
 
 
+class KnownOutliers:
+    """The outliers that the record has, of which there may be thousands: as `Known`, all of whose numbers are single.
+
+    size (K,p): what one adds to each sample, as standard deviation
+    are_there (K,p): which samples have one; score, left (K,p): s and I − M of these
+    """
+
+    def __init__(self, size: Array, u: Array, D: Array, outliers: Iterable[tuple[int, int]]) -> None:
+        self.size, self.are_there = size, np.zeros(size.shape, dtype=bool)
+        for one in outliers:
+            self.are_there[one] = True
+        self.score = np.where(self.are_there, size * u, 0.0)
+        self.left = np.where(self.are_there, 1.0 - size**2 * D, 1.0)
+
+    def source(self, one: tuple[int, int]) -> Source:
+        """Return an outlier as an event, whether the record has it or not."""
+        return Source(one[0], np.full((1, 1), self.size[one]), one[1])
+
+    def change(self, effect: Effect, weight: Array, score: Array) -> bool:
+        """Change those that an event has an effect on; return whether they are known well enough then."""
+        rows, which = effect.rows, np.nonzero(self.are_there[effect.rows])
+        covariance = self.size[rows][which][:, None] * effect.of_sample[which]
+        weighted, before = covariance @ weight, self.left[rows][which]
+        after = before + (weighted * covariance).sum(axis=1)
+        self.score[rows][which] -= weighted @ score
+        self.left[rows][which] = after
+        return bool(np.all(after > _LEAST_LEFT * before))
+
+
 class EventScores:
-    """λ, Λ, u and D as in `Adjoint`, and what is known of each event; `sources`: of those the record has.
+    """λ, Λ, u and D as in `Adjoint`, and what is known of each event that the record has, jumps and outliers.
 
     are_known: whether the scores are known well enough to go on
     """
 
-    def __init__(self, found: Explained, sources: Mapping[Event, Source]) -> None:
+    def __init__(self, found: Explained, jumps: Iterable[Source], size: Array) -> None:
+        """size (K,p): what an outlier adds to each sample, as standard deviation."""
         adjoint = found.adjoint
         self.of_state, self.of_state_variance = adjoint.of_state, adjoint.of_state_variance
         self.of_sample, self.of_sample_variance = adjoint.of_sample, adjoint.of_sample_variance
         self._along, self._effects = AlongRecord(found), list[tuple[Effect, Array]]()
-        self.are_known, self.known = True, dict[Event, Known]()
-        for which, source in sources.items():
+        self.are_known, self.jumps = True, dict[int, Known]()
+        self.outliers = KnownOutliers(size, self.of_sample, self.of_sample_variance, found.events.outliers)
+        for source in jumps:
             score, M = self._of(source)
-            self.known[which] = Known(source, score, np.eye(len(M)) - M)
+            self.jumps[source.k] = Known(source, score, np.eye(len(M)) - M)
 
-    def change(self, gone: list[Event], new: Mapping[Event, Source]) -> NDArray[np.intp]:
+    def change(self, gone: Sequence[Source], new: Sequence[Source]) -> NDArray[np.intp]:
         """Take away events, then add new ones; return the rows of which the scores change."""
         if (len(self._effects) + len(gone) + len(new)) * _ROWS_OF_A_CHANGE > len(self.of_state):
             self.are_known = False
-        if any(self.known[which].least_left < _LEAST_TO_TAKE_AWAY for which in gone):
+        if any(self._known(source).least_left < _LEAST_TO_TAKE_AWAY for source in gone):
             self.are_known = False
         if not self.are_known:
             return np.zeros(0, dtype=np.intp)
         if not self._effects:  # so far the scores are those that were found
             self.of_state, self.of_state_variance = self.of_state.copy(), self.of_state_variance.copy()
             self.of_sample, self.of_sample_variance = self.of_sample.copy(), self.of_sample_variance.copy()
-        sources = [*(self.known[which].source for which in gone), *new.values()]
-        own = [*(self._of_gone(which) for which in gone), *(self._of_new(source)[:2] for source in new.values())]
+        sources = [*gone, *new]
+        own = [*map(self._of_gone, gone), *(self._of_new(source)[:2] for source in new)]
         alone = self._along.effects(sources, *zip(*own, strict=True))
         touched = np.zeros(len(self.of_state), dtype=bool)
-        for place, (which, source) in enumerate(zip([*gone, *new], sources, strict=True)):
+        for place, source in enumerate(sources):
             effect = alone[place]
             for other, weight in self._effects:  # what it does with those that came before it
                 covariance = other.of(source)
                 if covariance is not None:
                     effect = effect.less(other, weight @ covariance.T)
             if place < len(gone):
-                score, weight = self._of_gone(which)
-                del self.known[which]
+                score, weight = self._of_gone(source)
+                self._forget(source)
                 self._apply(effect, score, weight)
             else:
                 score, weight, left = self._of_new(source)
                 self._apply(effect, score, weight)
-                self.known[which] = Known(source, left @ score, left)
+                self._keep(Known(source, left @ score, left))
             if not self.are_known:
                 break
             self._effects.append((effect, weight))
@@ -116,20 +145,38 @@ class EventScores:
         weighted = g @ weight
         self.of_sample[rows] -= weighted @ score
         self.of_sample_variance[rows] -= (weighted * g).sum(axis=2)
-        near = [(which, one) for which, one in self.known.items() if rows.start <= one.source.k < rows.stop]
-        outliers = [(which, one) for which, one in near if one.source.output is not None]
-        jumps = [(which, one) for which, one in near if one.source.output is None]
-        changed = _changed_outliers(effect, [one for _, one in outliers], weight, score)
-        for _, one in jumps:
-            covariance = one.source.columns.T @ effect.of_state[one.source.k - effect.first]
-            changed.append(one.changed(covariance, weight, score))
-        for (which, one), other in zip([*outliers, *jumps], changed, strict=True):
-            self.are_known = self.are_known and other.least_left > _LEAST_LEFT * one.least_left
-            self.known[which] = other
+        self.are_known = self.outliers.change(effect, weight, score) and self.are_known
+        for k, one in self.jumps.items():
+            covariance = effect.of(one.source)
+            if covariance is not None:
+                changed = one.changed(covariance, weight, score)
+                self.are_known = self.are_known and changed.least_left > _LEAST_LEFT * one.least_left
+                self.jumps[k] = changed
 
-    def _of_gone(self, which: Event) -> tuple[Array, Array]:
+    def _known(self, source: Source) -> Known:
+        """Return what is known of an event that the record has."""
+        if source.output is None:
+            return self.jumps[source.k]
+        at, outliers = (source.k, source.output), self.outliers
+        return Known(source, outliers.score[at].reshape(1), outliers.left[at].reshape(1, 1))
+
+    def _forget(self, source: Source) -> None:
+        if source.output is None:
+            del self.jumps[source.k]
+        else:
+            self.outliers.are_there[source.k, source.output] = False
+
+    def _keep(self, known: Known) -> None:
+        source = known.source
+        if source.output is None:
+            self.jumps[source.k] = known
+        else:
+            at, outliers = (source.k, source.output), self.outliers
+            outliers.are_there[at], outliers.score[at], outliers.left[at] = True, known.score[0], known.left[0, 0]
+
+    def _of_gone(self, source: Source) -> tuple[Array, Array]:
         """Return s_U and W of an event that is taken away."""
-        known = self.known[which]
+        known = self._known(source)
         return known.score, -np.asarray(np.linalg.inv(known.left))
 
     def _of_new(self, source: Source) -> tuple[Array, Array, Array]:
@@ -145,18 +192,3 @@ class EventScores:
             return J.T @ self.of_state[k], J.T @ self.of_state_variance[k] @ J
         u, D = self.of_sample[k, source.output], self.of_sample_variance[k, source.output]
         return J[0] * u, J.T @ J * D
-
-
-def _changed_outliers(effect: Effect, outliers: list[Known], weight: Array, score: Array) -> list[Known]:
-    """Return outliers at rows of an effect as `Known.changed`, all at once: there may be hundreds."""
-    if not outliers:
-        return []
-    at = [(one.source.k - effect.first, one.source.output) for one in outliers]
-    size, scores, left = (
-        np.array(column)
-        for column in zip(*((one.source.columns[0], one.score, one.left[0]) for one in outliers), strict=True)
-    )
-    covariance = size * effect.of_sample[tuple(np.array(at).T)]
-    weighted = covariance @ weight
-    scores, left = scores - (weighted @ score)[:, None], left + (weighted * covariance).sum(axis=1, keepdims=True)
-    return [Known(one.source, s, r) for one, s, r in zip(outliers, scores, left[:, None], strict=True)]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ndob_fmu.log.smooth.better_jumps import with_better_jumps
 from ndob_fmu.log.smooth.event_effects import Source
-from ndob_fmu.log.smooth.event_scores import Event, EventScores, Known
+from ndob_fmu.log.smooth.event_scores import EventScores, Known
 from ndob_fmu.log.smooth.events import (
     AT_SAMPLE_COSTS,
     IN_STEP_COSTS,
@@ -37,6 +37,8 @@ from ndob_fmu.log.smooth.rows import Rows, not_copied
 from ndob_fmu.log.smooth.smoother import NEAR
 from ndob_fmu.runtime.arrays import Array
 
+# An instant and the output of an outlier, None for a jump.
+Event = tuple[int, int | None]
 # Passes over a record, and rounds of changes between two of them. Made logs of three plants take up to 14 passes where
 # steps explain nearly everything, elsewhere up to 4 (`benchmarks/fit_logs.py`).
 _MOST_PASSES, _MOST_ROUNDS = 20, 40
@@ -85,9 +87,9 @@ class Search:
     def __init__(self, found: Explained, columns: Jumps, spacing: int, first: int, taken: Counter[Event]) -> None:
         self.events = found.events
         self._columns, self._spacing, self._first, self._taken = columns, spacing, first, taken
-        self._more = found.record.variance * (OUTLIER**2 - 1.0)
-        self.scores = EventScores(found, self._sources(found.events))
-        K, p = self._more.shape
+        size = np.sqrt(found.record.variance * (OUTLIER**2 - 1.0))
+        self.scores = EventScores(found, self._jumps(found.events), size)
+        K, p = size.shape
         self._at_sample, self._in_step, self._outliers = np.empty(K), np.empty(K), np.empty((K, p))
         self._judge(np.arange(K))
 
@@ -105,8 +107,8 @@ class Search:
         """Take these events in place of those that were there."""
         old, self.events = self.events, better
         gone, added = self._sources(old.without(better)), self._sources(better.without(old))
-        self._taken.update([*added])
-        touched = self.scores.change([*gone], added)
+        self._taken.update([(one.k, one.output) for one in added])
+        touched = self.scores.change(gone, added)
         if self.scores.are_known:
             self._judge(touched)
             # Rounding errors of changes may leave no variance. At a jump that explains nearly everything that is usual.
@@ -119,13 +121,11 @@ class Search:
         """What jumps at samples, jumps in steps (K,) and outliers (K,p) explain, less what they cost."""
         return self._at_sample, self._in_step, self._outliers
 
-    def _sources(self, events: Events) -> dict[Event, Source]:
-        jumps: dict[Event, Source] = {
-            (k, None): Source(k, self._columns.of(k, in_step)) for k, in_step in sorted(events.jumps.items())
-        }
-        return jumps | {
-            (k, i): Source(k, np.full((1, 1), self._more[k, i] ** 0.5), i) for k, i in sorted(events.outliers)
-        }
+    def _jumps(self, events: Events) -> list[Source]:
+        return [Source(k, self._columns.of(k, in_step)) for k, in_step in sorted(events.jumps.items())]
+
+    def _sources(self, events: Events) -> list[Source]:
+        return [*self._jumps(events), *map(self.scores.outliers.source, sorted(events.outliers))]
 
     def _judge(self, rows: NDArray[np.intp]) -> None:
         """Find what events at some rows explain, less what they cost."""
@@ -180,7 +180,7 @@ class Search:
         """Return what a jump with columns (K,N,c) explains at rows, of those that are known, what they do."""
         scores, variances = self.scores.of_state, self.scores.of_state_variance
         gained = explained_by(columns[rows], scores[rows], variances[rows])
-        for place, known in self._known_at(rows, jumps=True):  # as without the one that is there
+        for place, known in self._jumps_at(rows):  # as without the one that is there
             k = known.source.k
             is_own = columns[k].shape == known.source.columns.shape
             gained[place] = known.explains if is_own else _in_place_of(known, columns[k], scores[k], variances[k])
@@ -188,19 +188,18 @@ class Search:
 
     def _gained_by_outliers(self, rows: Rows) -> Array:
         """Return what an outlier in each sample explains at rows (·,p)."""
-        size = np.sqrt(self._more[rows])
+        known = self.scores.outliers
+        size, are_there = known.size[rows], known.are_there[rows]
         # Rounding errors of changes may leave less than nothing.
         variance = size**2 * np.maximum(self.scores.of_sample_variance[rows], 0.0)
         score = size * self.scores.of_sample[rows]
-        for place, known in self._known_at(rows, jumps=False):
-            without = 1.0 / float(known.left[0, 0])
-            at = (place, known.source.output)
-            score[at], variance[at] = without * known.score[0], without - 1.0
+        without = 1.0 / known.left[rows][are_there]
+        score[are_there], variance[are_there] = without * known.score[rows][are_there], without - 1.0
         return np.asarray(0.5 * (score**2 / (1.0 + variance) - np.log1p(variance)))
 
-    def _known_at(self, rows: Rows, *, jumps: bool) -> Iterator[tuple[int, Known]]:
-        """Yield the jumps, or the outliers, that are known at rows, and their places there."""
-        known = [(k, one) for (k, output), one in self.scores.known.items() if (output is None) == jumps]
+    def _jumps_at(self, rows: Rows) -> Iterator[tuple[int, Known]]:
+        """Yield the jumps that are known at rows, and their places there."""
+        known = [*self.scores.jumps.items()]
         if isinstance(rows, slice):
             yield from ((k - rows.start, one) for k, one in known if rows.start <= k < rows.stop)
             return

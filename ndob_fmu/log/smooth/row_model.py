@@ -107,7 +107,9 @@ class RowModel:
 
         Raises IntegrationError where the equations cannot be followed.
         """
-        F, longest = self._rates_slopes(xi, u), float(np.max(H))
+        F = self._rates_slopes(xi, u)
+        # In units for the longest step, which a gap makes, all others would take as many parts as that one.
+        longest = float(np.quantile(H, _USUAL, method="higher"))
         usual = np.quantile(np.abs(F[:: len(F) // _NEAR + 1]), _USUAL, axis=0, method="higher")
         most = np.maximum(F.max(axis=0), -F.min(axis=0))
         units = calm_units(usual * longest, self.model.units(most, longest))
@@ -238,14 +240,20 @@ def _within(values: Array, limits: Array) -> Array:
 
 
 def calm_units(X: Array, units: Array) -> Array:
-    """Return units (N,) in which no row of X (N,N) ≥ 0 has a sum above _CALM, where there are any; else those given.
+    """Return units (N,) in which no column of X (N,N) ≥ 0 has a sum above c, for the least of c = _CALM · 1, 2, 4 ….
 
-    With u = (I − X/_CALM)⁻¹ u₀ it is X u = _CALM (u − u₀). So a chain of integrators, whose norm depends on the units
-    alone, takes no more parts than it needs.
+    With w = (I − Xᵀ/c)⁻¹ w₀ it is Xᵀ w = c (w − w₀), for w = 1/u. So a chain of integrators, whose norm depends on the
+    units alone, takes no more parts than it needs, nor do two masses on a spring. The units are those given where steps
+    take as few parts in them, and where X is too large for all c.
     """
-    N = len(units)
-    calm = np.linalg.solve(np.eye(N) - X * (units / units[:, None]) / _CALM, np.ones(N))
-    return units * calm if np.isfinite(calm).all() and calm.min() >= 1.0 else units
+    N, scaled = len(units), X * (units / units[:, None])
+    for parts in 2 ** np.arange(_MOST_PARTS.bit_length()):
+        calm = np.linalg.solve(np.eye(N) - scaled.T / (_CALM * parts), np.ones(N))
+        if np.isfinite(calm).all() and calm.min() >= 1.0:
+            return np.asarray(units / calm)
+        if scaled.sum(axis=0).max() <= _SHORT * parts:
+            break
+    return units
 
 
 def _groups(parts: NDArray[np.int_]) -> Iterator[tuple[int, Rows]]:
