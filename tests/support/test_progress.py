@@ -6,7 +6,7 @@ import time
 import pytest
 
 from ndob_fmu import cli
-from ndob_fmu.support.progress import begin, shown_after
+from ndob_fmu.support.progress import begin, go_on, shown_after
 
 SLOW = """
 import time
@@ -42,6 +42,16 @@ def test_what_ends_in_time_is_not_mentioned_and_what_follows_a_long_wait_is(caps
         begin("reading three")
     begin("reading four")
     assert capsys.readouterr().err == "ndob-fmu: still reading two\nndob-fmu: still reading three\n"
+
+
+def test_how_far_a_long_activity_is_is_said_where_nothing_else_was_for_a_while(capsys):
+    with shown_after(0.2):
+        begin("fitting")
+        go_on("round 1")
+        time.sleep(0.5)
+        go_on("round 2")
+        go_on("round 3")
+    assert capsys.readouterr().err == "ndob-fmu: still fitting\nndob-fmu: still fitting, round 2\n"
 
 
 def test_a_quick_command_prints_nothing_more_later(capsys):

@@ -25,6 +25,7 @@ from ndob_fmu.log.smooth.events import Events, Explained, with_events
 from ndob_fmu.log.smooth.linear_record import Smoothed
 from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.support.progress import go_on
 
 _MOST_ROUNDS = 12
 # A round that changes each number by less than this part of its standard deviation, and the logarithms of noise and
@@ -192,7 +193,8 @@ def fit_class(
     theta, prior, before = problem.told, problem.parameter_std, None
     first = None if start is None else start.noise.for_intensity(start.problem.intensity, problem.intensity)
     train, at_best, events = slice(problem.trained), problem.told, None if start is None else start.events
-    for _ in range(_MOST_ROUNDS):
+    for turn in range(_MOST_ROUNDS):
+        go_on(f"round {1 + turn} of {_MOST_ROUNDS} at most, disturbance_order {problem.layout.order}")
         about = problem.about(trajectory, theta)
         noise = fit_noise(*about.pieces(train), problem.layout, before or first)
         found = _explained(about, noise, noise.events if events is None else events)
