@@ -12,7 +12,7 @@ import numpy as np
 import sympy
 from sympy.printing.numpy import NumPyPrinter
 
-from ndob_fmu.codegen.build_definitions import input_slopes, linearisation, sensitivity
+from ndob_fmu.codegen.build_definitions import input_slopes, linearisation, sensitivity, surfaces
 from ndob_fmu.codegen.once_per_model import once_per_model
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
@@ -38,6 +38,7 @@ class RowFunctions:
     slopes: [[∂ẋ/∂x, ∂ẋ/∂d], [∂y/∂x, 0]], (K,n + p,n + q2)
     input_slopes: [[∂ẋ/∂u], [∂y/∂u]], (K,n + p,m)
     sensitivity: [[∂ẋ/∂p], [∂y/∂p]], (K,n + p,n_p)
+    surfaces: [g, ∂g/∂x] (K,k,1 + n) of the surfaces at which ẋ jumps
     """
 
     derivatives: RowFunction = field(repr=False)
@@ -45,6 +46,7 @@ class RowFunctions:
     slopes: RowFunction = field(repr=False)
     input_slopes: RowFunction = field(repr=False)
     sensitivity: RowFunction = field(repr=False)
+    surfaces: RowFunction = field(repr=False)
 
 
 @once_per_model
@@ -58,6 +60,7 @@ def row_functions(model: Model) -> RowFunctions:
         slopes=_function(symbols, lambda: linearisation(f, f.d, f.d), (rows, len(f.x) + len(f.d))),
         input_slopes=_function(symbols, lambda: input_slopes(f, f.d), (rows, len(f.u))),
         sensitivity=_function(symbols, lambda: sensitivity(f, f.d), (rows, len(f.p))),
+        surfaces=_function(symbols, lambda: surfaces(f), (len(f.jumps_at), 1 + len(f.x))),
     )
 
 

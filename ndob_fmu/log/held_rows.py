@@ -1,7 +1,6 @@
 """In how many rows of a log dry friction holds the plant, as the observer sees it (`runtime.numerics.sliding`).
 
-The smoother does not know that friction holds: on made logs of a mass that sticks in 30 % of the rows, 1 % of the
-smoothed errors there were within ± 2 std.
+No sample tells of the disturbance there, so the user should know how many rows that are.
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ class HeldRows:
             return []
         return [
             f"friction holds the plant in {100.0 * self._held / self._rows:.0f} % of the rows: no sample tells of the "
-            "disturbance there; the online estimate's error bar says so, the smoothed estimate's and a fit's do not "
-            "(docs/models.md)"
+            "disturbance there; the error bars say so, and a fit leaves these rows out (docs/models.md)"
         ]
 
     def _is_held(self, x: Array, u: Array, d: Array) -> bool:

@@ -17,6 +17,7 @@ from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
 from ndob_fmu.log.fit.offsets import check_offsets, offset_names, open_offsets
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.fit.tried_rates import MOST_ROWS, TRIED
+from ndob_fmu.log.fit.while_moving import while_moving
 from ndob_fmu.log.log import Log
 from ndob_fmu.log.online import Online, Stretch
 from ndob_fmu.log.smooth.along import Samples, in_layout, unpacked_rows
@@ -26,6 +27,7 @@ from ndob_fmu.log.told_values import ignored
 from ndob_fmu.model.model import Model
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 from ndob_fmu.runtime.step.tuned import Tuned
 from ndob_fmu.support.progress import begin
@@ -145,9 +147,11 @@ class Setup:
         names, offset = [*self.equations.parameters, *offset_names(self.equations)], self._offset
         free, numbers = tuple(map(names.index, self.free)), [*tuned.model.parameters, *offset]
         prior = [self._prior(name, numbers[i]) for name, i in zip(self.free, free, strict=True)]
+        rows = RowModel(tuned.model, row_functions(self.model))
+        samples = Samples(run.stretch.step[:-1], log.inputs, log.outputs, told)
         return Problem(
-            rows=RowModel(tuned.model, row_functions(self.model)),
-            samples=Samples(run.stretch.step[:-1], log.inputs, log.outputs, told),
+            rows=rows,
+            samples=while_moving(rows, samples, _trajectory(run, rows.model.layout)),
             intensity=tuned.intensity(usual, [1.0] * log.outputs.shape[1]),
             offset=offset,
             free=free,
@@ -158,9 +162,7 @@ class Setup:
 
     def trajectory(self, run: Run, problem: Problem) -> Array:
         """Return ξ (K,N) along a log by the observer's estimate."""
-        layout = run.observer.layout
-        said = unpacked_rows(layout, run.stretch.online.predicted)
-        return in_layout(said, layout, problem.rows.model.layout)
+        return _trajectory(run, problem.layout)
 
     def tuned(self, changes: Mapping[str, Any], H: float) -> Tuned:
         """Return what an observer with changed values is tuned to at a step H (s)."""
@@ -200,3 +202,9 @@ class Setup:
     def _prior(self, name: str, value: float) -> float:
         told = float(self.values[f"{name}_std"])
         return told or _OPEN * abs(value) or 1.0
+
+
+def _trajectory(run: Run, layout: Layout) -> Array:
+    """Return ξ (K,N) in a layout along a log by the observer's estimate."""
+    said = unpacked_rows(run.observer.layout, run.stretch.online.predicted)
+    return in_layout(said, run.observer.layout, layout)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.log.smooth.events import Jumps
+from ndob_fmu.log.smooth.held_steps import HeldSteps
 from ndob_fmu.log.smooth.linear_record import LinearRecord
 from ndob_fmu.log.smooth.row_model import NODE_WEIGHTS, RowModel
 from ndob_fmu.runtime.arrays import Array
@@ -27,16 +28,19 @@ class Samples:
     step (K-1,): to the next instant (s)
     inputs (K,m), outputs (K,p): held until the next one; NaN where nothing was measured
     noise_variance (K,p): of each sample
+    held: the steps in which surfaces may hold the state; None for a plant without such
     """
 
     step: Array
     inputs: Array
     outputs: Array
     noise_variance: Array
+    held: HeldSteps | None = None
 
     def first(self, K: int) -> Samples:
         """Return the first K instants."""
-        return Samples(self.step[: K - 1], self.inputs[:K], self.outputs[:K], self.noise_variance[:K])
+        held = None if self.held is None else self.held.first(K - 1)
+        return Samples(self.step[: K - 1], self.inputs[:K], self.outputs[:K], self.noise_variance[:K], held)
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,11 @@ def record_along(
     before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
     sizes = rows.noise_sizes(intensity(samples.step), samples.step)
     directions = model.noise_directions
-    steps = rows.steps(trajectory[:-1], samples.inputs[:-1], samples.step, directions, sizes, apart=apart)
+    at, u, held = trajectory[:-1], samples.inputs[:-1], samples.held
+    if held is None:
+        steps = rows.steps(at, u, samples.step, directions, sizes, apart=apart)
+    else:
+        steps = held.steps(rows, at, u, samples.step, directions, sizes, apart=apart)
     in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
     weights = np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None] * model.bound
     np.multiply(steps.jumps, weights, out=in_step[1:].reshape(steps.jumps.shape))
@@ -111,4 +119,10 @@ def record_along(
         start_factor=start.factor,
     )
     at_sample = np.sqrt(_VARIANCE) * model.jump_channel * model.bound
-    return record, Jumps(np.broadcast_to(at_sample, (K, *at_sample.shape)), in_step)
+    every = np.broadcast_to(at_sample, (K, *at_sample.shape))
+    if held is not None and not held.shows_jumps:
+        # A jump at a sample moves the plant in the step behind it, one in a step in this one and those behind.
+        hidden = held.any
+        every = every.copy()
+        every[:-1][hidden], in_step[1:][hidden] = 0.0, 0.0
+    return record, Jumps(every, in_step)

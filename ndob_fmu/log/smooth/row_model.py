@@ -28,6 +28,8 @@ _ORDER, _HIGHEST_TERM = 4, 10
 # the start.
 _USUAL, _CALM = 0.9, 0.22
 _MOST_PARTS = 16
+# Rounding of x may take g so far from 0, in parts of what the states make of it.
+_BESIDE, _LEAST = 1e-9, 1e-150
 _NEAR = 1000
 # What is left of a step after the instants of jumps inside it, and their weights.
 _AFTER = np.array(AFTER_JUMPS.shares[1:])
@@ -71,6 +73,35 @@ class RowModel:
             y[:, output] += xi[:, layout.biases.start + place]
         return y
 
+    def surfaces(self, xi: Array, u: Array) -> Array:
+        """Return [g, ∂g/∂x] (K,k,1 + n) of the surfaces at which ẋ jumps."""
+        return self.functions.surfaces(*self._arguments(xi, u))
+
+    def jump(self, xi: Array, u: Array, normals: Array, g: Array) -> Array:
+        """Return Δ (K,N), by how much ξ' is larger above a surface than below it; normals (K,n) and g (K,): of it."""
+        n, way = self.model.layout.n, normals / (normals**2).sum(axis=1)[:, None]
+        room = _BESIDE * (np.abs(normals) * np.abs(xi[:, :n])).sum(axis=1) + _LEAST
+
+        def across(room: Array) -> Array:
+            below, above = xi.copy(), xi.copy()
+            below[:, :n] -= way * (g + room)[:, None]
+            above[:, :n] -= way * (g - room)[:, None]
+            return self._rates(above, u) - self._rates(below, u)
+
+        return 2.0 * across(room) - across(2.0 * room)
+
+    def share(self, xi: Array, u: Array, normals: Array, g: Array) -> tuple[Array, Array]:
+        """Return α (K,) of a surface that holds ξ, and ∂α/∂ξ (K,N) with regard to what is not a state of the plant."""
+        n = self.model.layout.n
+        jump = self.jump(xi, u, normals, g)[:, :n]
+        across = -1.0 / (normals * jump).sum(axis=1)
+        below = xi.copy()
+        room = _BESIDE * (np.abs(normals) * np.abs(xi[:, :n])).sum(axis=1) + _LEAST
+        below[:, :n] -= normals * ((g + room) / (normals**2).sum(axis=1))[:, None]
+        row = across[:, None] * (normals[:, None] @ self._rates_slopes(below, u)[:, :n])[:, 0]
+        row[:, :n] = 0.0
+        return across * (normals * self._rates(below, u)[:, :n]).sum(axis=1), row
+
     def output_slopes(self, xi: Array, u: Array) -> Array:
         """Return C (K,p,N)."""
         layout, n = self.model.layout, self.model.layout.n
@@ -100,14 +131,25 @@ class RowModel:
         on_d = np.broadcast_to(intensity, (len(H), self.model.layout.q))
         return np.asarray(np.sqrt(np.hstack([on_d, on_states])))
 
-    def steps(self, xi: Array, u: Array, H: Array, channel: Array, sizes: Array, *, apart: bool) -> RowSteps:
+    def steps(
+        self,
+        xi: Array,
+        u: Array,
+        H: Array,
+        channel: Array,
+        sizes: Array,
+        *,
+        apart: bool,
+        projection: Array | None = None,
+    ) -> RowSteps:
         """Return the steps of H (K,) s from each row, with white noise through a channel (N,c) of sizes (K,c).
 
         apart: whether the noise through each column of the channel has columns of its own
+        projection (K,N,N): onto the ways that ξ can go, where surfaces may hold it
 
         Raises IntegrationError where the equations cannot be followed.
         """
-        F = self._rates_slopes(xi, u)
+        F = _turned(self._rates_slopes(xi, u), projection)
         # In units for the longest step, which a gap makes, all others would take as many parts as that one.
         longest = float(np.quantile(H, _USUAL, method="higher"))
         usual = np.quantile(np.abs(F[:: len(F) // _NEAR + 1]), _USUAL, axis=0, method="higher")
@@ -124,7 +166,8 @@ class RowModel:
         )
         for count, rows in _groups(parts):
             stiff = bool(np.max(size[rows]) > count * _SHORT)
-            end, done = self._in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, stiff=stiff)
+            way = None if projection is None else projection[rows]
+            end, done = self._in_parts(xi[rows], u[rows], H[rows], F[rows], channel, units, count, way, stiff=stiff)
             found.end[rows], found.Phi[rows], found.jumps[rows] = end, done.Phi, done.responses
             done.noise[:] *= sizes[rows][:, None, :, None]
             noise = done.noise.reshape(-1, N, c * N)
@@ -132,15 +175,28 @@ class RowModel:
         return found
 
     def _in_parts(
-        self, xi: Array, u: Array, H: Array, F: Array, channel: Array, units: Array, parts: int, *, stiff: bool
+        self,
+        xi: Array,
+        u: Array,
+        H: Array,
+        F: Array,
+        channel: Array,
+        units: Array,
+        parts: int,
+        projection: Array | None,
+        *,
+        stiff: bool,
     ) -> tuple[Array, RowTransition]:
         """Return the ends (K,N) of steps in so many parts, and the transitions; F (K,N,N) is that of their start."""
         K, N, c = len(xi), *channel.shape
         h, first, jump = H / parts, F, self.model.jump_channel
         Phi, noise = np.broadcast_to(np.eye(N), (K, N, N)), np.zeros((K, N, c, 0))
         for _ in range(parts):
-            xi = self._predicted_one_by_one(xi, u, h) if stiff else self._runge_kutta(xi, u, h[:, None], F)
-            F_end = self._rates_slopes(xi, u)
+            if stiff and projection is None:
+                xi = self._predicted_one_by_one(xi, u, h)
+            else:
+                xi = self._runge_kutta(xi, u, h[:, None], F, projection)
+            F_end = _turned(self._rates_slopes(xi, u), projection)
             if not np.isfinite(F_end).all():
                 raise _left_the_numbers()
             done = row_transition(0.5 * (F + F_end), channel, h, jump, _AFTER, units)
@@ -153,15 +209,20 @@ class RowModel:
         whole = row_transition(0.5 * (first + F), channel[:, :0], H, jump, _AFTER, units)
         return xi, RowTransition(Phi, noise.copy(), whole.responses)
 
-    def _runge_kutta(self, xi: Array, u: Array, h: Array, F: Array) -> Array:
+    def _runge_kutta(self, xi: Array, u: Array, h: Array, F: Array, projection: Array | None) -> Array:
         """Return ξ at the end, with the terms of higher order that follow from F (K,N,N) at the start.
 
         Along thousands of rows a parameter is told more exactly than the error of this method in an oscillation.
         """
-        k1 = self._rates(xi, u)
-        k2 = self._rates(xi + 0.5 * h * k1, u)
-        k3 = self._rates(xi + 0.5 * h * k2, u)
-        k4 = self._rates(xi + h * k3, u)
+
+        def rates(xi: Array) -> Array:
+            found = self._rates(xi, u)
+            return found if projection is None else np.matmul(projection, found[..., None])[..., 0]
+
+        k1 = rates(xi)
+        k2 = rates(xi + 0.5 * h * k1)
+        k3 = rates(xi + 0.5 * h * k2)
+        k4 = rates(xi + h * k3)
         term, more = h * k1, np.zeros_like(k1)
         for order in range(2, _HIGHEST_TERM + 1):
             term = h / order * np.matmul(F, term[..., None])[..., 0]
@@ -233,6 +294,10 @@ class RowModel:
             for names in (eq.states, eq.inputs)
         )
         return of_x, of_u
+
+
+def _turned(F: Array, projection: Array | None) -> Array:
+    return F if projection is None else projection @ F
 
 
 def _within(values: Array, limits: Array) -> Array:

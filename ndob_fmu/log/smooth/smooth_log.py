@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ndob_fmu.log.online import SURE_OF_NOISE, Stretch
 from ndob_fmu.log.smooth.along import Samples, Start, intensities, record_along, unpacked_rows
 from ndob_fmu.log.smooth.event_search import explained_from
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
+from ndob_fmu.log.smooth.held_steps import HeldSteps, held_at_first, limited
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
 from ndob_fmu.log.smooth.misfit import ModelError, error_of_model, is_followed, no_error
@@ -82,9 +83,9 @@ def smooth(
     while True:
         following = next(stretches, None)
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
-        found, columns, trajectory, error = explained_stretch(tuned, equations, part, start, started)
+        found, columns, trajectory, error, held = explained_stretch(tuned, equations, part, start, started)
         K = len(stretch.log.time)
-        yield stretch, smoothed_stretch(equations, found, columns, trajectory, error, part, K)
+        yield stretch, smoothed_stretch(equations, found, columns, trajectory, error, held, part, K)
         if following is None:
             return
         start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
@@ -94,15 +95,20 @@ def smooth(
 
 def explained_stretch(
     tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int
-) -> tuple[Explained, Jumps, Array, ModelError]:
+) -> tuple[Explained, Jumps, Array, ModelError, HeldSteps | None]:
     """Return a stretch as its events and the model's error explain it, and the trajectory (K,N) of its linearisation.
+
+    Behind them are the steps in which surfaces may hold the state.
 
     started: rows of the start, in which the disturbance is unknown anyway
 
     The equations are linearised along the online estimate, then along the smoothed one.
     """
     model, said = tuned.model, part.online
-    samples = Samples(part.step[:-1], part.log.inputs, part.log.outputs, noise_variance(model, said.noise_ratio))
+    about, inputs = unpacked_rows(model.layout, said.predicted), part.log.inputs
+    samples = Samples(part.step[:-1], inputs, part.log.outputs, noise_variance(model, said.noise_ratio))
+    if model.equations.surfaces is not None:
+        samples = replace(samples, held=held_at_first(equations, about, inputs, passing=True))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
 
@@ -122,12 +128,16 @@ def explained_stretch(
             found = with_events(whole, columns, events)
         return explained_from(found, whole, columns, spacing, started), columns, error
 
-    about = unpacked_rows(model.layout, said.predicted)
     if not model.is_linear:
         found, _, _ = linearised(about, events)
-        about, events = about + Smoothed(found.forward, found.adjoint).xi, found.events
+        smoothed = Smoothed(found.forward, found.adjoint)
+        about, events = about + smoothed.xi, found.events
+        if samples.held is not None:
+            held = samples.held.looked_at_again(equations, about, smoothed.covariance, inputs)
+            held, events = held.widened(spacing).with_hidden(events)
+            samples = replace(samples, held=held)
     found, columns, error = linearised(about, events)
-    return found, columns, about, error
+    return found, columns, about, error, samples.held
 
 
 def noise_variance(model: FilterModel, ratio: Array) -> Array:
@@ -141,13 +151,22 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
 
 
 def smoothed_stretch(
-    equations: RowModel, found: Explained, columns: Jumps, about: Array, error: ModelError, part: Stretch, rows: int
+    equations: RowModel,
+    found: Explained,
+    columns: Jumps,
+    about: Array,
+    error: ModelError,
+    held: HeldSteps | None,
+    part: Stretch,
+    rows: int,
 ) -> SmoothedStretch:
     """Return the smoothed estimate at the first rows of a stretch."""
     model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
     all_rows = Smoothed(found.forward, found.adjoint)
     xi, std = about + all_rows.xi, all_rows.std
     d, variance = mixed(found, columns, xi[:, places], std[:, places] ** 2)
+    if held is not None:
+        d, variance = limited(equations, held, xi, all_rows.covariance, part.log.inputs, d, variance)
     xi, std = xi[:rows], std[:rows]
     more = equations.taken_for_disturbance(about[:rows], part.log.inputs[:rows])
     d, d_std = as_published(model, d[:rows], variance[:rows] + more)

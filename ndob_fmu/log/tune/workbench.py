@@ -123,7 +123,7 @@ class Workbench:
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)
-        found, _, about, self._error = explained_stretch(
+        found, _, about, self._error, self._held = explained_stretch(
             tuned, rows, self.stretch, self._start(observer, tuned.model), tuned.model.start_samples
         )
         self._layout, self._about, self._events = tuned.model.layout, about, found.events
@@ -181,10 +181,11 @@ class Workbench:
             self._linear[settings.order] = self._linearised(observer, tuned)
         linear = self._linear[settings.order]
         c, N = linear.sizes.shape[1], model.layout.size
-        factor = np.repeat(self._noise_sizes(tuned) / linear.sizes, N, axis=1)
+        noise = linear.record.noise.copy()
+        noise[:, :, : c * N] *= np.repeat(self._noise_sizes(tuned) / linear.sizes, N, axis=1)[:, None]
         record = replace(
             linear.record,
-            noise=linear.record.noise * factor[:, None, : c * N],
+            noise=noise,
             variance=noise_variance(model, self._noise_ratio(settings)),
             start_factor=np.diag(model.start_std),
         )
@@ -202,7 +203,7 @@ class Workbench:
         rows, trajectory = RowModel(model, self._functions), in_layout(self._about, self._layout, model.layout)
         record, columns = record_along(
             rows,
-            Samples(step, log.inputs, log.outputs, told),
+            Samples(step, log.inputs, log.outputs, told, self._held),
             trajectory,
             lambda steps: intensities(tuned, steps),
             self._start(observer, model),
