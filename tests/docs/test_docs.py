@@ -202,7 +202,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
             "time_update",
         )
     )
-    tuned = import_module("ndob_fmu.runtime.step.tuned")
+    tuned, model_error = (import_module(f"ndob_fmu.runtime.step.{name}") for name in ("tuned", "model_error"))
     at_sample, inside = bank._SHARES
     first = faulty._LEAST + faulty._TIMES * faulty.FIRST_RATE
     outliers = " or ".join((", ".join(f"α + {_short(v)} R" for v in faulty._OUTLIERS)).rsplit(", ", 1))
@@ -244,6 +244,12 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"by more than {time._STRAIGHT}/H, the step is taken in 2 to {time._MOST_PARTS} parts",
         f"at most {tuned._AS_GOOD}² times",
         f"at least {noise._SHOWN:g} samples of the noise",
+        f"starts as {model_error._FIRST:g} of the root",
+        f"more than {model_error._BEYOND:g} D₀ from its nominal value",
+        f"rises {model_error._GROWTH:g}-fold each time",
+        f"of an output exceeds {model_error._LARGE:g}, by a half",
+        f"a sample's own exceed {model_error._TOO_LARGE:g}; to {model_error._MOST:g} at most",
+        f"over all outputs is below {model_error._USUAL:g}. Below {model_error._LEAST:g} it is zero",
         f"within {100.0 * fast._CONVERGED:g} % of the converged ones",
         f"differs by more than {100.0 * fast._JITTER:g} %",
         f"between {fast._LEAST_SQUARES} and {fast._MOST_SQUARES:g}",

@@ -48,7 +48,7 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
     nothing = joined(np.zeros((N, N)), np.zeros((N, 0)), np.zeros((N, 0)))
     y, C = rows.output(xi, u), rows.output_slopes(xi, u)
     for k in range(K):
-        one = predict(found, xi[k], nothing, u[k].tolist(), H, intensity, np.zeros(1), starting=False)
+        one = predict(found, xi[k], nothing, u[k].tolist(), H, intensity, np.zeros(1), starting=False, model_error=0.0)
         scale = np.abs(one.xi).max()
         np.testing.assert_allclose(steps.end[k], one.xi, rtol=0, atol=1e-2 * close * scale)
         np.testing.assert_allclose(steps.Phi[k], one.Phi, rtol=0, atol=close * np.abs(one.Phi).max())

@@ -6,12 +6,12 @@ _NUMERICS = "exponential hold integrate kalman phi riccati sliding stiff transit
 _STEP = """
     adaptive_noise channel_observer converged_step delayed_outputs error_columns faulty_samples filter_model
     filter_state fixed_lag held
-    jump_bank layout measurement_update order_zero paper_observer prediction preparation reconsider sampled_step
-    sensor_memory start_memory time_update tracking_step tuned
+    jump_bank layout measurement_update model_error order_zero paper_observer prediction preparation reconsider
+    sampled_step sensor_memory start_memory time_update tracking_step tuned
 """
 _DESIGN = """
-    augmented gains idle_modes intensity_law like_disturbance longest_step minimum_phase operating_point schedule
-    scheduled_gains start_up stationary_design step_designs tuning undriven_noise
+    augmented doubtful gains idle_modes intensity_law like_disturbance longest_step minimum_phase operating_point
+    schedule scheduled_gains start_up stationary_design step_designs tuning undriven_noise
 """
 MODULES = [
     f"ndob_fmu.runtime.{folder}.{name}"

@@ -35,6 +35,7 @@ class FilterModel:
     scale: factor on the standard deviations of all noises, as in `Intensities`
     start_std (N,): standard deviations of ξ before the first sample
     undriven (n,): intensity of the noise on states that nothing else drives, over the step
+    doubtful (n,): whether nothing drives a state where its equation may be wrong
     like_disturbance: 1 for each uncertain parameter that is considered and acts as d does, else 0
     natural_units (n + r q2,): of x and the series of d, as in `Augmented`
     least_noise (p,): the least ratio of a variance of noise to the one that was told
@@ -49,6 +50,7 @@ class FilterModel:
     scale: float
     start_std: Array = field(repr=False)
     undriven: Array = field(repr=False)
+    doubtful: NDArray[np.bool_] = field(repr=False)
     like_disturbance: Array = field(repr=False)
     natural_units: Array = field(repr=False)
     least_noise: Array = field(repr=False)

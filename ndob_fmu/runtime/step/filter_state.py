@@ -107,6 +107,7 @@ class FilterMemory:
     tuned_at: the step that the intensities are tuned for (s); 0 before the first step.
     step, steady: the last step, or the one that the frozen gain is for (s), and how many steps in a row had about its
         length and used all samples, counted until the start is over.
+    model_error: the part of the terms of doubtful equations that counts as noise.
     """
 
     columns: ErrorColumns
@@ -122,6 +123,7 @@ class FilterMemory:
     tuned_at: float
     step: float
     steady: int
+    model_error: float
 
 
 @dataclass(slots=True)  # never changed once made; frozen=True would make that cost a tenth of a step
@@ -175,6 +177,7 @@ def is_possible(memory: FilterMemory) -> bool:
         and memory.step >= 0.0
         and memory.age >= 0
         and memory.steady >= 0
+        and 0.0 <= memory.model_error < inf
     )
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.base_errors import DesignError
 from ndob_fmu.runtime.design.augmented import Augmented, augment
+from ndob_fmu.runtime.design.doubtful import doubtful_equations
 from ndob_fmu.runtime.design.like_disturbance import act_as_disturbance
 from ndob_fmu.runtime.design.longest_step import longest_step
 from ndob_fmu.runtime.design.minimum_phase import require_zeros_left_of
@@ -31,6 +33,7 @@ class PreparedObserver:
     noise_std (p,): of the samples, at least their rounding
     rounding (p,): that rounding
     undriven (n,): intensity of the noise on states that nothing else drives, over the step
+    doubtful (n,): as `doubtful_equations` returns it; none for r = 0
     like_disturbance: 1 for each uncertain parameter that is considered and acts as d does, else 0
     designs: the stationary design for each step size, with f as noise
     tracking: the same with f's slopes at x̂₀ known
@@ -44,6 +47,7 @@ class PreparedObserver:
     noise_std: Array
     rounding: Array
     undriven: Array
+    doubtful: NDArray[np.bool_]
     like_disturbance: Array
     designs: StepDesigns
     tracking: StepDesigns
@@ -88,6 +92,8 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
     known = Knowledge(R_factor=np.diag(noise), disturbance_bound=bound, disturbance_rate=rate)
     u = middle_input(equations.inputs, equations.ranges)
     uncertain = tuple(i for i, s in enumerate(settings.parameter_std) if s > 0.0)
+    undriven = _undriven(working, settings, x_hat, np.array(largest_input(equations.inputs, equations.ranges)))
+    noisy = np.asarray((np.array(settings.state_noise, dtype=float) + undriven > 0.0) | (order == 0))
     return PreparedObserver(
         equations=equations,
         parameters=parameters,
@@ -101,7 +107,8 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
         ),
         noise_std=noise,
         rounding=rounding,
-        undriven=_undriven(working, settings, x_hat, np.array(largest_input(equations.inputs, equations.ranges))),
+        undriven=undriven,
+        doubtful=doubtful_equations(working.A, working.B, working.C, working.G_d, noisy),
         like_disturbance=_like_disturbance(equations, parameters, settings, uncertain, x_hat, u, noise),
         designs=StepDesigns(
             system=augment(linear, order, noise),

@@ -28,6 +28,7 @@ def start_memory(model: FilterModel) -> FilterMemory:
         tuned_at=0.0,
         step=0.0,
         steady=0,
+        model_error=0.0,
     )
 
 

@@ -24,6 +24,7 @@ from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.held import projection_of, still_held
 from ndob_fmu.runtime.step.jump_bank import AFTER_JUMPS
 from ndob_fmu.runtime.step.layout import Layout
+from ndob_fmu.runtime.step.model_error import with_model_error
 
 # E (z²/2)² = 3/4 for a normal number z.
 _SECOND_ORDER = float(np.sqrt(0.75))
@@ -59,12 +60,14 @@ def predict(
     unseen: Array,
     *,
     starting: bool,
+    model_error: float,
 ) -> Predicted:
     """Return the end of a step H (s) that begins with ξ̂ (N + past,).
 
     intensity (q2,): of the noise behind the r-th derivative of d
     unseen (q2,): the variance that jumps of d add in a step in which surfaces hold the state, so that none shows
     starting: whether ξ̂ may be far off
+    model_error: as in `FilterMemory`
 
     Raises IntegrationError where ξ̂ leaves the finite numbers.
     """
@@ -73,6 +76,7 @@ def predict(
     end = predict_mean(model, xi, u, H)
     F, F_end = model.rates(xi, u), model.rates(end, u)
     mean = 0.5 * (F + F_end)
+    channel = with_model_error(model, model_error, channel, mean, xi, H)
     units = model.units(mean, H)
     projection = None if starting else projection_of(model, end, u)
     if projection is not None:

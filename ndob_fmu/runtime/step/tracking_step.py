@@ -16,6 +16,7 @@ from ndob_fmu.runtime.step.fixed_lag import at_lag, is_due, later, moved, rememb
 from ndob_fmu.runtime.step.held import limited
 from ndob_fmu.runtime.step.jump_bank import later_bank, moments, unseen_variance, with_newest
 from ndob_fmu.runtime.step.measurement_update import Measured, bounded
+from ndob_fmu.runtime.step.model_error import followed, grown, is_far_beyond_bound
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
 from ndob_fmu.runtime.step.sensor_memory import at_end_of_step, is_in_time
@@ -65,7 +66,11 @@ def step_with_covariance(
 
     starting = memory.age < model.start_samples
     unseen = unseen_variance(measured.jumps, model.bound * model.scale)
-    end = predict(model, xi, columns, u, H, intensity, unseen, starting=starting)
+    beyond, model_error = is_far_beyond_bound(model, xi), memory.model_error
+    if beyond:
+        model_error = grown(model, model_error, memory.age)
+    model_error = followed(model_error, measured.prediction, measured.sensors)
+    end = predict(model, xi, columns, u, H, intensity, unseen, starting=starting, model_error=model_error)
     published, variance = end.xi, None
     if added.shift is not None and added.variance is not None:
         published = _with_shift(
@@ -83,7 +88,7 @@ def step_with_covariance(
         columns, jumps = columns.with_signatures(signatures), with_newest(jumps, model.first_sizes)
         lagged = with_new_signatures(lagged, model.signatures_at_sample)
     sensors = tuple(at_end_of_step(sensor, H) for sensor in measured.sensors)
-    lost = memory.lost and starting
+    lost, refuted = memory.lost and starting, beyond and model_error > 0.0
     result = SampledObserverState(
         xi_hat=layout.packed(end.xi[:N]),
         d_hat=numbers(d_hat),
@@ -106,6 +111,7 @@ def step_with_covariance(
             tuned_at=memory.tuned_at,
             step=H,
             steady=steady_after(memory, measured, H),
+            model_error=model_error,
         ),
     )
     estimate = Estimate(
@@ -118,7 +124,7 @@ def step_with_covariance(
         d_lagged_std=numbers(d_lagged_std),
         residual=result.innovation,
         residual_std=tuple(measured.prediction.std),
-        valid=is_in_time(sensors) and not lost,
+        valid=is_in_time(sensors) and not (lost or refuted),
         consistency=consistency(result.squares),
     )
     return result, estimate, measured

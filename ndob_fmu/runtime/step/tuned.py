@@ -145,6 +145,7 @@ def filter_model(observer: PreparedObserver, scale: float, jump_spacing: float) 
             ]
         ),
         undriven=observer.undriven,
+        doubtful=observer.doubtful,
         like_disturbance=observer.like_disturbance,
         natural_units=observer.tracking.system.units,
         least_noise=np.ones(len(observer.noise_std))
@@ -169,7 +170,7 @@ def frozen(
     """
     memory, model = after.memory, tuned.model
     started = memory.age >= model.start_samples and memory.steady >= STEADY
-    if not (tuned.freezes and started) or memory.lost:
+    if not (tuned.freezes and started) or memory.lost or memory.model_error > 0.0:
         return after
     # What holds the plant hides the disturbance, and the covariance must say how long.
     if model.is_on_a_surface(np.array(after.xi_hat), after.u):
