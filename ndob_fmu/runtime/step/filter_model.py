@@ -260,15 +260,19 @@ class FilterModel:
 
         held: whether all of them count as if they held it
         """
-        if not self.is_on_a_surface(xi, u):
+        eq, parameters, x = self.equations, self.with_parameters(xi), xi[: self.layout.n]
+        if eq.surfaces is None:
             return None
-        eq, parameters, table = self.equations, self.with_parameters(xi), self.surfaces(xi, u)
-        x, d = xi[: self.layout.n], xi[self.layout.disturbance].tolist() or [0.0] * self.layout.q
+        table = self.surfaces(xi, u)
+        on = all_on(table, x)
+        if not on:
+            return None
+        d = xi[self.layout.disturbance].tolist() or [0.0] * self.layout.q
 
         def rate(x: Array) -> Array:
             return np.array(eq.derivatives(x.tolist(), u, d, parameters), dtype=float)
 
-        here = beside(rate, table, x, all_on(table, x))
+        here = beside(rate, table, x, on)
         return here if held else released(here)
 
     def beside_surfaces(self, xi: Array, u: Vector) -> Array:

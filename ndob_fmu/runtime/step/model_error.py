@@ -29,7 +29,7 @@ _TOO_LARGE, _FAST = 9.0, 1.5
 _USUAL, _TAKEN = 1.5, 0.1
 
 
-def grown(model: FilterModel, part: float, age: int) -> float:
+def raised(model: FilterModel, part: float, age: int) -> float:
     """Return the part of the terms that is noise once innovations are on one side; `age`: as in `FilterMemory`."""
     if age <= model.layout.size or not np.any(model.doubtful):
         return part

@@ -16,7 +16,7 @@ from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverStat
 from ndob_fmu.runtime.step.fixed_lag import without_signatures
 from ndob_fmu.runtime.step.jump_bank import empty_bank
 from ndob_fmu.runtime.step.measurement_update import Measured, measure
-from ndob_fmu.runtime.step.model_error import grown as grown_error
+from ndob_fmu.runtime.step.model_error import raised
 from ndob_fmu.runtime.step.prediction import output_rows, spread
 from ndob_fmu.runtime.step.start_memory import start_factor
 
@@ -100,7 +100,7 @@ def reconsidered(
         sensors=tuple(after),
         jumps=empty_bank(model.bound, memory.jumps.rate),
         lagged=without_signatures(memory.lagged),
-        model_error=grown_error(model, memory.model_error, memory.age) if wrong else memory.model_error,
+        model_error=raised(model, memory.model_error, memory.age) if wrong else memory.model_error,
         lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
         age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,
     )

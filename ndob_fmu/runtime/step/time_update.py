@@ -124,25 +124,28 @@ def _held(
     values[:N] = Phi @ columns.values[:N]
     values[:N, count : count + jumps] = free.Phi @ columns.signatures[:N]
     noise = np.concatenate([projection @ done.noise, model.jump_channel * np.sqrt(unseen)], axis=1)
-    whole = np.zeros((model.rows, count + noise.shape[1]))
-    whole[:, :count] = values[:, :count]
-    whole[:N, count:] = noise
-    return columns.with_values(values).with_factor(triangular(whole)), Phi, free.responses
+    return _with_noise(columns.with_values(values), noise), Phi, free.responses
 
 
 def _moved(
     model: FilterModel, xi: Array, columns: ErrorColumns, u: Vector, H: float, done: Transition, *, starting: bool
 ) -> ErrorColumns:
     """Return the columns a part H (s) of a step later."""
-    N, count, noise = model.layout.size, columns.factor_count, done.noise
+    N, noise = model.layout.size, done.noise
     if starting and not model.is_linear:
         noise = np.concatenate([noise, left_out(model, xi, columns.factor, u, H)], axis=1)
     values = columns.values.copy()
     values[:N] = done.Phi @ columns.values[:N]
-    whole = np.zeros((model.rows, count + noise.shape[1]))
-    whole[:, :count] = values[:, :count]
-    whole[:N, count:] = noise
-    return columns.with_values(values).with_factor(triangular(whole))
+    return _with_noise(columns.with_values(values), noise)
+
+
+def _with_noise(columns: ErrorColumns, noise: Array) -> ErrorColumns:
+    """Return the columns with noise (N,·) of ξ in their factor."""
+    count = columns.factor_count
+    whole = np.zeros((len(columns.values), count + noise.shape[1]))
+    whole[:, :count] = columns.factor
+    whole[: len(noise), count:] = noise
+    return columns.with_factor(triangular(whole))
 
 
 def predict_mean(model: FilterModel, xi: Array, u: Vector, H: float, held: Array | None = None) -> Array:
