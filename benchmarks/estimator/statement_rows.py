@@ -11,7 +11,7 @@ from benchmarks.estimator import faults
 from benchmarks.estimator.figures import Figure
 from benchmarks.estimator.kalman import ekf, tuned_intensity
 from benchmarks.estimator.ours import ours_of, published_intensity
-from benchmarks.estimator.plants import CYLINDER, JOINT, Plant
+from benchmarks.estimator.plants import CYLINDER, JOINT, MOTOR, Plant
 from benchmarks.estimator.records import Record, simulate
 from benchmarks.estimator.scores import score
 from benchmarks.estimator.tasks import Seeds, Task, ms, plant_of
@@ -46,6 +46,7 @@ def tasks() -> list[Task]:
             )
             for estimated in more[:1]
         ),
+        Task("parameters motor untold", untold, ()),
         *(Task(f"mixed σ {first:g} {second:g}", mixed, (first, second, once)) for first, second, once in _MIXED),
     ]
 
@@ -88,6 +89,13 @@ def uncertain(seeds: Seeds, name: str, estimated: bool, once: str, limit: float)
         Figure(f"{text}, told: share within 2·std", 0.90, found.covered, once, at_least=True),
         Figure(f"{text}, told: the error without that", without, found.rms),
     ]
+
+
+def untold(seeds: Seeds) -> list[Figure]:
+    """Judge the motor, whose outputs contradict each other where its parameters are wrong, if no one says that."""
+    record = drawn(MOTOR, seeds)
+    found = score(record, ours_of(record, **told_noise(MOTOR, np.full(len(MOTOR.C), EXACT_SIGMA))))
+    return [Figure(f"motor, {ms(H)}, σ = 1e-6, parameters ± 10 %, not told", 0.5, found.rms, "refused")]
 
 
 def drawn(plant: Plant, seeds: Seeds) -> Record:
