@@ -247,6 +247,7 @@ def test_the_constants_of_method_2_in_the_theory_are_those_of_the_code():
         f"starts as {model_error._FIRST:g} of the root",
         f"more than {model_error._BEYOND:g} D₀ from its nominal value",
         f"rises {model_error._GROWTH:g}-fold each time",
+        f"exceeds {wrong._WRONG} and that of e²/α exceeds {model_error._TOO_LARGE:g}, after",
         f"of an output exceeds {model_error._LARGE:g}, by a half",
         f"a sample's own exceed {model_error._TOO_LARGE:g}; to {model_error._MOST:g} at most",
         f"over all outputs is below {model_error._USUAL:g}. Below {model_error._LEAST:g} it is zero",

@@ -21,8 +21,8 @@ from ndob_fmu.runtime.step.prediction import Prediction
 _FIRST, _MOST, _LEAST, _GROWTH = 0.02, 0.5, 0.002, 2.5
 # No bound that was told is too small by more than this factor.
 _BEYOND = 5.0
-# While there is some: the mean square of an output's innovations, over their variances, from which on a sample makes
-# the part larger slowly, and that from which on fast.
+# The mean square of an output's innovations, over their variances, from which on a sample makes the part larger slowly,
+# and that from which on fast. Where innovations are on one side, the part begins above the latter only.
 _LARGE, _SLOWLY = 2.0, 1.1
 _TOO_LARGE, _FAST = 9.0, 1.5
 # Where the mean square over all outputs is below the first number, a sample takes this share of the part for each unit.
@@ -30,10 +30,15 @@ _USUAL, _TAKEN = 1.5, 0.1
 
 
 def raised(model: FilterModel, part: float, age: int) -> float:
-    """Return the part of the terms that is noise once innovations are on one side; `age`: as in `FilterMemory`."""
+    """Return the part of the terms that is noise once the estimate is wrong; `age`: as in `FilterMemory`."""
     if age <= model.layout.size or not np.any(model.doubtful):
         return part
     return min(max(_GROWTH * part, _FIRST), _MOST)
+
+
+def are_far_off(sensors: Sequence[SensorMemory]) -> bool:
+    """Return whether innovations are larger than those of a disturbance that is somewhat outside its class."""
+    return any(sensor.usual > _TOO_LARGE for sensor in sensors)
 
 
 def is_far_beyond_bound(model: FilterModel, xi: Array) -> bool:

@@ -16,7 +16,7 @@ from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverStat
 from ndob_fmu.runtime.step.fixed_lag import without_signatures
 from ndob_fmu.runtime.step.jump_bank import empty_bank
 from ndob_fmu.runtime.step.measurement_update import Measured, measure
-from ndob_fmu.runtime.step.model_error import raised
+from ndob_fmu.runtime.step.model_error import are_far_off, raised
 from ndob_fmu.runtime.step.prediction import output_rows, spread
 from ndob_fmu.runtime.step.start_memory import start_factor
 
@@ -90,7 +90,7 @@ def reconsidered(
         after.append(
             replace(before, noise_ratio=ratio, counted=counted, debt=0.0, doubtful=0.0, refused=False, mean=0.0)
         )
-    wrong = any(abs(sensor.mean) > _WRONG for sensor in sensors)
+    wrong = any(abs(sensor.mean) > _WRONG for sensor in sensors) and are_far_off(sensors)
     growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
     factor = start_factor(model) if growth > _LOST else memory.columns.factor * model.growths(growth)[:, None]
     columns = memory.columns
