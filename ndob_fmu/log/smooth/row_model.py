@@ -150,8 +150,8 @@ class RowModel:
         Raises IntegrationError where the equations cannot be followed.
         """
         F = _turned(self._rates_slopes(xi, u), projection)
-        # In units for the usual step rows take fewer parts: too few where slopes change within a step, as at the kink of
-        # a friction, and `fit` keeps a wrong inertia.
+        # In units for the usual step rows take fewer parts, too few where slopes change within a step, as at the kink
+        # of a friction: `fit` kept a wrong inertia.
         longest = float(np.max(H))
         usual = np.quantile(np.abs(F[:: len(F) // _NEAR + 1]), _USUAL, axis=0, method="higher")
         most = np.maximum(F.max(axis=0), -F.min(axis=0))

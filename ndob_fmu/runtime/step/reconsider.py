@@ -90,7 +90,7 @@ def reconsidered(
         after.append(
             replace(before, noise_ratio=ratio, counted=counted, debt=0.0, doubtful=0.0, refused=False, mean=0.0)
         )
-    wrong = any(abs(sensor.mean) > _WRONG for sensor in sensors) and are_far_off(sensors)
+    wrong = are_far_off(sensors) and any(abs(sensor.mean) > _WRONG for sensor in sensors)
     growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
     factor = start_factor(model) if growth > _LOST else memory.columns.factor * model.growths(growth)[:, None]
     columns = memory.columns
