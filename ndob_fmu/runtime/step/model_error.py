@@ -2,8 +2,8 @@
 
 Where more is measured than there are disturbances, outputs contradict each other if an equation between them is wrong,
 as a motor's angle and its current do where its flux is. A filter without noise on that equation gives the contradiction
-to the states and to d, and the estimate runs away. So this noise grows each time that innovations stay on one side of
-their predictions though the start is over. Once they are as large as their variances say, it becomes smaller again.
+to the states and to d, and the estimate runs away. So this noise begins where d̂ is far beyond its bound. Once
+innovations are as large as their variances say, it becomes smaller again.
 """
 
 from __future__ import annotations
@@ -22,23 +22,22 @@ _FIRST, _MOST, _LEAST, _GROWTH = 0.02, 0.5, 0.002, 2.5
 # No bound that was told is too small by more than this factor.
 _BEYOND = 5.0
 # The mean square of an output's innovations, over their variances, from which on a sample makes the part larger slowly,
-# and that from which on fast. Where innovations are on one side, the part begins above the latter only.
+# and that from which on fast.
 _LARGE, _SLOWLY = 2.0, 1.1
 _TOO_LARGE, _FAST = 9.0, 1.5
 # Where the mean square over all outputs is below the first number, a sample takes this share of the part for each unit.
 _USUAL, _TAKEN = 1.5, 0.1
 
 
-def raised(model: FilterModel, part: float, age: int) -> float:
-    """Return the part of the terms that is noise once the estimate is wrong; `age`: as in `FilterMemory`."""
-    if age <= model.layout.size or not np.any(model.doubtful):
+def raised(model: FilterModel, part: float, age: int, sensors: Sequence[SensorMemory]) -> float:
+    """Return the part of the terms that is noise once d̂ is beyond its bound; `age`: as in `FilterMemory`.
+
+    Where innovations are not large, d may be beyond it, and the equations right.
+    """
+    small = all(sensor.usual <= _TOO_LARGE for sensor in sensors)
+    if small or age <= model.layout.size or not np.any(model.doubtful):
         return part
     return min(max(_GROWTH * part, _FIRST), _MOST)
-
-
-def are_far_off(sensors: Sequence[SensorMemory]) -> bool:
-    """Return whether innovations are larger than those of a disturbance that is somewhat outside its class."""
-    return any(sensor.usual > _TOO_LARGE for sensor in sensors)
 
 
 def is_far_beyond_bound(model: FilterModel, xi: Array) -> bool:

@@ -16,7 +16,6 @@ from ndob_fmu.runtime.step.filter_state import FilterMemory, SampledObserverStat
 from ndob_fmu.runtime.step.fixed_lag import without_signatures
 from ndob_fmu.runtime.step.jump_bank import empty_bank
 from ndob_fmu.runtime.step.measurement_update import Measured, measure
-from ndob_fmu.runtime.step.model_error import are_far_off, raised
 from ndob_fmu.runtime.step.prediction import output_rows, spread
 from ndob_fmu.runtime.step.start_memory import start_factor
 
@@ -90,7 +89,6 @@ def reconsidered(
         after.append(
             replace(before, noise_ratio=ratio, counted=counted, debt=0.0, doubtful=0.0, refused=False, mean=0.0)
         )
-    wrong = are_far_off(sensors) and any(abs(sensor.mean) > _WRONG for sensor in sensors)
     growth = sqrt(max(growth, min(grown, _LEAST_GROWTH)))
     factor = start_factor(model) if growth > _LOST else memory.columns.factor * model.growths(growth)[:, None]
     columns = memory.columns
@@ -100,7 +98,6 @@ def reconsidered(
         sensors=tuple(after),
         jumps=empty_bank(model.bound, memory.jumps.rate),
         lagged=without_signatures(memory.lagged),
-        model_error=raised(model, memory.model_error, memory.age) if wrong else memory.model_error,
         lost=memory.lost or (max(growth, grown) > _LOST and memory.age >= model.start_samples),
         age=min(memory.age, 2 * model.layout.size) if max(growth, grown) > _LOST else memory.age,
     )

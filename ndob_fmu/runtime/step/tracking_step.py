@@ -68,7 +68,7 @@ def step_with_covariance(
     unseen = unseen_variance(measured.jumps, model.bound * model.scale)
     beyond, model_error = is_far_beyond_bound(model, xi), memory.model_error
     if beyond:
-        model_error = raised(model, model_error, memory.age)
+        model_error = raised(model, model_error, memory.age, measured.sensors)
     model_error = followed(model_error, measured.prediction, measured.sensors)
     end = predict(model, xi, columns, u, H, intensity, unseen, starting=starting, model_error=model_error)
     published, variance = end.xi, None
