@@ -17,9 +17,8 @@ from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood
 from ndob_fmu.log.fit.needed_events import needed_events
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
-from ndob_fmu.log.smooth.events import Events, Jumps
+from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.log.smooth.linear_record import Smoothed
-from ndob_fmu.log.smooth.pieces import CutRecord
 from ndob_fmu.log.smooth.smoother import backward, forward
 from ndob_fmu.runtime.arrays import Array
 
@@ -42,19 +41,29 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
 
     Noise and pace change with θ, as the force behind an acceleration does with the mass. So the information is that
     about all of them.
+
+    So does the trajectory: what θ adds to ẋ, the smoothed disturbance takes away. If it stayed, the slopes of the
+    equations by x would change with θ wherever those by d or θ depend on x, although ẋ does not. The smoothed state
+    knows later samples. So that change would be like the innovations, and its sum along the record a bias of θ.
     """
     K, prior, n = problem.trained, problem.parameter_std, len(problem.parameter_std)
 
-    def pieces(step: Array) -> tuple[CutRecord, Jumps]:
-        record, search = problem.about(trajectory[:K], theta + step).pieces(slice(K))
-        return record, search.columns
+    def about(step: Array, at: Array) -> Moved:
+        cut, search = problem.about(at, theta + step).pieces(slice(K))
+        return Moved(noise.cut(cut, problem.layout), search.columns, float(step.sum()))
 
     def told(step: Array) -> Moved:
-        record, columns = pieces(step)
-        return Moved(noise.cut(record, problem.layout), columns, float(step.sum()))
+        """Return the record with θ moved, about the trajectory that is smoothed with it."""
+        there = about(step, trajectory[:K])
+        if problem.rows.model.equations.surfaces is not None:
+            return there  # a state that moves may cross a kink, where slopes by differences are of no use
+        at = trajectory[:K].copy()
+        at[: len(here)] += _smoothed(there, noise.events) - here
+        return about(step, at)
 
-    record, columns = pieces(np.zeros(n))
-    centre, of_noise = moved(record, problem.layout, columns, noise.logs)
+    record, search = problem.about(trajectory[:K], theta).pieces(slice(K))
+    centre, of_noise = moved(record, problem.layout, search.columns, noise.logs)
+    here = _smoothed(centre, noise.events)
     of_parameters = [*map(told, np.diag(_MOVED * prior))]
     of_prior = np.concatenate([prior**-2.0, np.full(len(of_noise), UNKNOWN**-2)])
     prior_slopes = -(theta - problem.told) / prior**2
@@ -69,6 +78,12 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
     bars = widened(inverse, inverse, found.answer, found.surprise)
     step = np.asarray(np.linalg.solve(_apart(found, n) + np.diag(of_prior), slopes))
     return Step(step[:n], bars[:n, :n], events)
+
+
+def _smoothed(told: Moved, events: Events) -> Array:
+    """Return ξ (R,N) of the rows of all pieces, about the trajectory."""
+    run = told.filtered(events)
+    return told.record.pieces.joined(Smoothed(run, backward(told.with_events(events), run)).xi)
 
 
 def _apart(found: Likelihood, n: int) -> Array:
