@@ -27,7 +27,6 @@ def calm_record():
 @pytest.mark.parametrize(("before", "after"), [(NONE, MANY), (MANY, NONE), (MANY, OTHER)])
 def test_scores_with_other_events_are_those_of_another_pass(monkeypatch, before, after):
     monkeypatch.setattr(event_effects, "_FORGOTTEN", 0.0)
-    monkeypatch.setattr(event_scores, "_ROWS_OF_A_CHANGE", 0)
     record, columns = calm_record()
     search = Search(with_events(record, columns, before), columns, 1, 0, Counter())
     search.change(after)
@@ -58,7 +57,9 @@ def test_events_that_take_turns_end_the_search(monkeypatch, times):
     record, columns = double_integrator(600, d, seed=3)
     told = replace(record.whole, variance=record.whole.variance / times**2)
     change = Search.change
-    monkeypatch.setattr(Search, "change", lambda self, better: changes.append(better) or change(self, better))
+    monkeypatch.setattr(
+        Search, "change", lambda self, better, **how: changes.append(better) or change(self, better, **how)
+    )
     explained(WholeRecord(told), columns, 5, 9)
     assert len(changes) < 200
 
@@ -69,6 +70,15 @@ def calm_steps(between=0.0):
     H, size = 0.01, 1.3
     record.whole.misfit[250:, 0] += size * between * H * (0.5 * between * H + H * np.arange(350))
     return record, columns
+
+
+def test_of_the_events_that_explain_one_jump_of_a_calm_disturbance_only_the_best_one_is_taken(monkeypatch):
+    """A filter that forgets slowly shows the jump in all rows, each of which would explain a part of it."""
+    record, columns = calm_steps()
+    added, add = [], event_scores.EventScores.add
+    monkeypatch.setattr(event_scores.EventScores, "add", lambda self, one: added.append(one.k) or add(self, one))
+    assert explained(record, columns, 3, 9).events == Events({250: False})
+    assert added == [250]
 
 
 @pytest.mark.parametrize(
@@ -103,16 +113,16 @@ def jumping_record():
 def test_a_variance_that_rounding_errors_leave_none_does_not_change_what_is_found(monkeypatch, name, spoilt):
     record, columns = jumping_record()
     columns = Jumps(columns.at_sample * (18.0**0.5 / columns.at_sample.max()), columns.in_step)
-    expected, changes, change = explained(record, columns, 20, 9).events, [], event_scores.EventScores.change
+    expected, changes, add = explained(record, columns, 20, 9).events, [], event_scores.EventScores.add
 
-    def spoiling(self, gone, new):
-        touched = change(self, gone, new)
+    def spoiling(self, source):
+        touched = add(self, source)
         if not changes:
             getattr(self, name)[touched] = spoilt
         changes.append(touched)
         return touched
 
-    monkeypatch.setattr(event_scores.EventScores, "change", spoiling)
+    monkeypatch.setattr(event_scores.EventScores, "add", spoiling)
     assert explained(record, columns, 20, 9).events == expected
     assert len(changes) > 1
 

@@ -63,13 +63,14 @@ class Effect:
             return np.asarray(source.columns.T @ self.of_state[k])
         return np.asarray(source.columns.T * self.of_sample[k, source.output])
 
-    def less(self, other: Effect, by: Array) -> Effect:
-        """Return it less another one times `by`, where both are known."""
-        first, stop = max(self.first, other.first), min(self.rows.stop, other.rows.stop)
-        mine, others = (slice(first - one.first, stop - one.first) for one in (self, other))
+    def less(self, others: Sequence[tuple[Effect, Array]]) -> Effect:
+        """Return it less other ones, each times a matrix, where both are known."""
         of_state, of_sample = self.of_state.copy(), self.of_sample.copy()
-        of_state[mine] -= other.of_state[others] @ by
-        of_sample[mine] -= other.of_sample[others] @ by
+        for other, by in others:
+            first, stop = max(self.first, other.first), min(self.rows.stop, other.rows.stop)
+            mine, theirs = (slice(first - one.first, stop - one.first) for one in (self, other))
+            of_state[mine] -= other.of_state[theirs] @ by
+            of_sample[mine] -= other.of_sample[theirs] @ by
         return Effect(self.first, of_state, of_sample)
 
 

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ndob_fmu.log.smooth.event_effects import AlongRecord, Effect, Source
 from ndob_fmu.log.smooth.events import Explained
+from ndob_fmu.log.smooth.gains import eliminated
 from ndob_fmu.runtime.arrays import Array
 
-# A change takes as long as a pass over so many rows. Behind more of them another pass is faster.
-_ROWS_OF_A_CHANGE = 100
 # What is left of I − M where events that explain the same are taken away, at least, to be more than rounding errors.
 _LEAST_LEFT = 1e-6
 # An event that leaves less than this of a variance is told so well that the scores without it are rounding errors.
 _LEAST_TO_TAKE_AWAY = 1e-8
+# A part of the variance of a score that counts where another event is judged.
+_COUNTS = 0.01
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,7 @@ class EventScores:
     """λ, Λ, u and D as in `Adjoint`, and what is known of each event that the record has, jumps and outliers.
 
     are_known: whether the scores are known well enough to go on
+    rows: how many rows have changed, counted for each event that came or went
     """
 
     def __init__(self, found: Explained, jumps: Iterable[Source], size: Array) -> None:
@@ -97,49 +98,58 @@ class EventScores:
         self.of_sample, self.of_sample_variance = adjoint.of_sample, adjoint.of_sample_variance
         self._along, self._effects = AlongRecord(found), list[tuple[Effect, Array]]()
         self.are_known, self.jumps = True, dict[int, Known]()
+        self.rows, self._reach = 0, 0
         self.outliers = KnownOutliers(size, self.of_sample, self.of_sample_variance, found.events.outliers)
         for source in jumps:
             score, M = self._of(source)
             self.jumps[source.k] = Known(source, score, np.eye(len(M)) - M)
 
-    def change(self, gone: Sequence[Source], new: Sequence[Source]) -> NDArray[np.intp]:
-        """Take away events, then add new ones; return the rows of which the scores change."""
-        if (len(self._effects) + len(gone) + len(new)) * _ROWS_OF_A_CHANGE > len(self.of_state):
+    @property
+    def reach(self) -> float:
+        """In how many rows an event that came or went has changed a variance by a part that counts, in the mean."""
+        return self._reach / max(len(self._effects), 1)
+
+    def explains(self, source: Source) -> float:
+        """Return what an event explains: one that the record has, or another one."""
+        if self._has(source):
+            return self._known(source).explains
+        score, M = self._of(source)
+        return float(eliminated(score[None], M[None])[0])
+
+    def take_away(self, source: Source) -> slice:
+        """Take away an event; return the rows of which the scores change."""
+        known = self._known(source)
+        if known.least_left < _LEAST_TO_TAKE_AWAY:
             self.are_known = False
-        if any(self._known(source).least_left < _LEAST_TO_TAKE_AWAY for source in gone):
-            self.are_known = False
-        if not self.are_known:
-            return np.zeros(0, dtype=np.intp)
+            return slice(0)
+        weight = -np.asarray(np.linalg.inv(known.left))
+        effect = self._effect(source, known.score, weight)
+        self._forget(source)
+        return self._apply(effect, known.score, weight)
+
+    def add(self, source: Source) -> slice:
+        """Add an event; return the rows of which the scores change."""
+        score, M = self._of(source)
+        weight = np.asarray(np.linalg.inv(np.eye(len(M)) + M))  # and I − M with it
+        rows = self._apply(self._effect(source, score, weight), score, weight)
+        self._keep(Known(source, weight @ score, weight))
+        return rows
+
+    def _effect(self, source: Source, score: Array, weight: Array) -> Effect:
+        """Return what an event does to the scores as they are by now."""
+        (alone,) = self._along.effects([source], [score], [weight])
+        others = [(one, own @ covariance.T) for one, own in self._effects if (covariance := one.of(source)) is not None]
+        return alone.less(others)
+
+    def _apply(self, effect: Effect, score: Array, weight: Array) -> slice:
         if not self._effects:  # so far the scores are those that were found
             self.of_state, self.of_state_variance = self.of_state.copy(), self.of_state_variance.copy()
             self.of_sample, self.of_sample_variance = self.of_sample.copy(), self.of_sample_variance.copy()
-        sources = [*gone, *new]
-        own = [*map(self._of_gone, gone), *(self._of_new(source)[:2] for source in new)]
-        alone = self._along.effects(sources, *zip(*own, strict=True))
-        touched = np.zeros(len(self.of_state), dtype=bool)
-        for place, source in enumerate(sources):
-            effect = alone[place]
-            for other, weight in self._effects:  # what it does with those that came before it
-                covariance = other.of(source)
-                if covariance is not None:
-                    effect = effect.less(other, weight @ covariance.T)
-            if place < len(gone):
-                score, weight = self._of_gone(source)
-                self._forget(source)
-                self._apply(effect, score, weight)
-            else:
-                score, weight, left = self._of_new(source)
-                self._apply(effect, score, weight)
-                self._keep(Known(source, left @ score, left))
-            if not self.are_known:
-                break
-            self._effects.append((effect, weight))
-            touched[effect.rows] = True
-        return np.flatnonzero(touched)
-
-    def _apply(self, effect: Effect, score: Array, weight: Array) -> None:
+        self._effects.append((effect, weight))
         rows, G, g = effect.rows, effect.of_state, effect.of_sample
         weighted = G @ weight
+        counts = np.abs((weighted * G).sum(axis=2)) > _COUNTS * self.of_state_variance[rows].diagonal(axis1=1, axis2=2)
+        self.rows, self._reach = self.rows + len(G), self._reach + int(np.count_nonzero(counts.any(axis=1)))
         self.of_state[rows] -= weighted @ score
         self.of_state_variance[rows] -= weighted @ np.swapaxes(G, 1, 2)
         weighted = g @ weight
@@ -152,6 +162,13 @@ class EventScores:
                 changed = one.changed(covariance, weight, score)
                 self.are_known = self.are_known and changed.least_left > _LEAST_LEFT * one.least_left
                 self.jumps[k] = changed
+        return rows
+
+    def _has(self, source: Source) -> bool:
+        if source.output is None:
+            known = self.jumps.get(source.k)
+            return known is not None and known.source.columns.shape == source.columns.shape
+        return bool(self.outliers.are_there[source.k, source.output])
 
     def _known(self, source: Source) -> Known:
         """Return what is known of an event that the record has."""
@@ -173,17 +190,6 @@ class EventScores:
         else:
             at, outliers = (source.k, source.output), self.outliers
             outliers.are_there[at], outliers.score[at], outliers.left[at] = True, known.score[0], known.left[0, 0]
-
-    def _of_gone(self, source: Source) -> tuple[Array, Array]:
-        """Return s_U and W of an event that is taken away."""
-        known = self._known(source)
-        return known.score, -np.asarray(np.linalg.inv(known.left))
-
-    def _of_new(self, source: Source) -> tuple[Array, Array, Array]:
-        """Return s_U and W of an event that is added, and I − M with it, which is the same as W."""
-        score, M = self._of(source)
-        weight = np.asarray(np.linalg.inv(np.eye(len(M)) + M))
-        return score, weight, weight
 
     def _of(self, source: Source) -> tuple[Array, Array]:
         """Return the score (c,) of an event and its variance (c,c)."""

@@ -8,12 +8,15 @@ more of the record's log-likelihood, less what an event at this instant costs. F
 
 Each round takes the best event of each stretch, and gives up those that are not needed any more. What that does to the
 scores around them is known without another pass over the record (`event_effects`). The last scores are those of a pass.
+Where a filter forgets slowly, one jump shows in many stretches. So each event is judged anew once those before it are
+there, and only then counts.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +42,8 @@ from ndob_fmu.runtime.arrays import Array
 
 # An instant and the output of an outlier, None for a jump.
 Event = tuple[int, int | None]
-# Passes over a record, and rounds of changes between two of them. Made logs of three plants take up to 14 passes where
-# steps explain nearly everything, elsewhere up to 4 (`benchmarks/fit_logs.py`).
-_MOST_PASSES, _MOST_ROUNDS = 20, 40
+# Passes over a record behind the best one, and rounds of changes between two of them.
+_MOST_PASSES, _MOST_ROUNDS = 8, 40
 # An event shows in the samples around it, too. Within so many spacings of a new one there is no other in the same
 # round.
 _REACH = 10
@@ -63,8 +65,8 @@ def explained(record: Filtered, columns: Jumps, spacing: int, first: int, known:
 
 def explained_from(found: Explained, record: Filtered, columns: Jumps, spacing: int, first: int) -> Explained:
     """Do the same where the record with the events to begin with is filtered already."""
-    taken, best = Counter[Event](), found
-    for _ in range(_MOST_PASSES):
+    taken, best, worse = Counter[Event](), found, 0
+    while worse < _MOST_PASSES:
         search = Search(found, columns, spacing, first, taken)
         search.run()
         better = search.events
@@ -73,8 +75,17 @@ def explained_from(found: Explained, record: Filtered, columns: Jumps, spacing: 
             if better == found.events:
                 break
         found = with_events(record, columns, better)
-        best = max(best, found, key=lambda one: one.value)
+        best, worse = (found, 0) if found.value > best.value else (best, worse + 1)
     return best
+
+
+class _Change(NamedTuple):
+    """An event that comes or goes; is_judged: whether that depends on what it explains by itself."""
+
+    event: Events
+    source: Source
+    is_new: bool
+    is_judged: bool
 
 
 class Search:
@@ -94,27 +105,59 @@ class Search:
         self._judge(np.arange(K))
 
     def run(self) -> None:
-        """Change the events until they explain the record, or its scores are not known well enough any more."""
+        """Change the events until they explain the record, or another pass is faster."""
         for _ in range(_MOST_ROUNDS):
             better = self._better()
             if better == self.events:
                 break
-            self.change(better)
-            if not self.scores.are_known:
+            self.change(better, at_once=False)
+            if not self._goes_on:
                 break
 
-    def change(self, better: Events) -> None:
-        """Take these events in place of those that were there."""
-        old, self.events = self.events, better
-        gone, added = self._sources(old.without(better)), self._sources(better.without(old))
-        self._taken.update([(one.k, one.output) for one in added])
-        touched = self.scores.change(gone, added)
-        if self.scores.are_known:
-            self._judge(touched)
+    @property
+    def _goes_on(self) -> bool:
+        """Whether the scores are known well enough, and a pass takes longer than what was done with them."""
+        return self.scores.are_known and self.scores.rows < len(self.scores.of_state)
+
+    def change(self, better: Events, *, at_once: bool = True) -> None:
+        """Take these events in place of those that were there.
+
+        at_once: whether all of them; else those that are better where the ones before them are changed already
+        """
+        left, done = deque(self._changes(better)), list[_Change]()
+        touched = np.zeros(len(self.scores.of_state), dtype=bool)
+        while left and self.scores.are_known and (at_once or self._goes_on):
+            one = left.popleft()
+            if at_once or not one.is_judged or one.is_new == (self.scores.explains(one.source) > one.event.costs):
+                touched[self.scores.add(one.source) if one.is_new else self.scores.take_away(one.source)] = True
+                done.append(one)
+        # What is left is not judged. An outlier explains its own sample; jumps that reach far may explain the same.
+        is_alone = at_once or len(left) * self.scores.reach < len(touched)
+        done += [one for one in left if is_alone or one.source.output is not None]
+        for one in done:
+            self.events = self.events.and_then(one.event, 0) if one.is_new else self.events.without(one.event)
+        self._taken.update([(one.source.k, one.source.output) for one in done if one.is_new])
+        if self.scores.are_known and (at_once or self._goes_on):
+            self._judge(np.flatnonzero(touched))
             # Rounding errors of changes may leave no variance. At a jump that explains nearly everything that is usual.
-            others = np.setdiff1d(touched, [*better.jumps])
+            others = np.setdiff1d(np.flatnonzero(touched), [*self.events.jumps])
             if np.isneginf([self._at_sample[others], self._in_step[others]]).any():
                 self.scores.are_known = False
+
+    def _changes(self, better: Events) -> list[_Change]:
+        """Return what other events change: what is not judged, what goes, then what is new; the clearest ones first."""
+        gone, new = self.events.without(better), better.without(self.events)
+        moved, found = {*gone.jumps} & {*new.jumps}, list[tuple[float, _Change]]()
+        for events, is_new in ((gone, False), (new, True)):
+            for k, in_step in events.jumps.items():
+                gained = (self._in_step if in_step else self._at_sample)[k]
+                source, is_judged = Source(k, self._columns.of(k, in_step)), k not in moved and (gained > 0.0) == is_new
+                found.append((gained, _Change(Events({k: in_step}), source, is_new, is_judged)))
+            for one in events.outliers:
+                source = self.scores.outliers.source(one)
+                found.append((self._outliers[one], _Change(Events(outliers=frozenset([one])), source, is_new, True)))
+        found.sort(key=lambda one: (one[1].is_judged, one[1].is_new, -one[0] if one[1].is_new else one[0]))
+        return [one for _, one in found]
 
     @property
     def gained(self) -> tuple[Array, Array, Array]:
@@ -123,9 +166,6 @@ class Search:
 
     def _jumps(self, events: Events) -> list[Source]:
         return [Source(k, self._columns.of(k, in_step)) for k, in_step in sorted(events.jumps.items())]
-
-    def _sources(self, events: Events) -> list[Source]:
-        return [*self._jumps(events), *map(self.scores.outliers.source, sorted(events.outliers))]
 
     def _judge(self, rows: NDArray[np.intp]) -> None:
         """Find what events at some rows explain, less what they cost."""
