@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ndob_fmu.log.fit.noise_columns import of_each_disturbance
 from ndob_fmu.log.smooth.events import Events, Jumps, with_outliers
 from ndob_fmu.log.smooth.linear_record import Forward, LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord
@@ -92,8 +93,8 @@ def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelih
 def faster(record: LinearRecord, layout: Layout, intensity: Array) -> LinearRecord:
     """Return a record with factors on the intensities (q2,)."""
     noise = record.noise.copy()
-    by_direction = noise.reshape(*noise.shape[:-1], -1, layout.size)  # the columns of each direction
-    by_direction[..., : layout.q, :] *= np.sqrt(intensity)[:, None]
+    for columns, factor in zip(of_each_disturbance(noise, layout.q), np.sqrt(intensity).tolist(), strict=True):
+        columns *= factor
     return replace(record, noise=noise)
 
 

@@ -11,15 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from ndob_fmu.log.fit.noise_columns import of_each_disturbance
 from ndob_fmu.log.smooth.linear_record import Adjoint, LinearRecord
 from ndob_fmu.runtime.arrays import Array
 
 
 def covariances_of_pace(record: LinearRecord, q: int) -> Array:
     """Return N_j N_jᵀ (L-1,S,q2,N,N) of pieces, for the noise behind each of q2 disturbances."""
-    N = record.rows.shape[-1]
-    each = [record.noise[..., j * N : (j + 1) * N] for j in range(q)]
-    return np.stack([one @ np.swapaxes(one, -1, -2) for one in each], axis=2)
+    return np.stack([one @ np.swapaxes(one, -1, -2) for one in of_each_disturbance(record.noise, q)], axis=2)
 
 
 def noise_slopes(record: LinearRecord, found: Adjoint, of_pace: Array, factors: Array) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ndob_fmu.log.fit.noise_columns import in_few_columns
 from ndob_fmu.log.fit.noise_fit import EventSearch
 from ndob_fmu.log.smooth.along import Samples, Start, record_along
 from ndob_fmu.log.smooth.events import Jumps
@@ -73,6 +74,7 @@ class Problem:
         samples = self.samples.first(K)
         samples = replace(samples, outputs=samples.outputs - offset)
         record, columns = record_along(rows, samples, trajectory, lambda H: self.intensity, start, apart=True)
+        record = replace(record, noise=in_few_columns(record.noise, self.layout.q))
         return Linearised(self, trajectory, record, columns)
 
 
