@@ -24,6 +24,8 @@ from ndob_fmu.runtime.arrays import Array
 
 # Differences are taken over this part of a parameter's prior standard deviation.
 _MOVED = 1e-3
+# Parameters within so many standard deviations are near, and by how many halvings the least ones there are found.
+_NEAR, _HALVINGS = 2.0, 60
 
 
 class Step(NamedTuple):
@@ -101,6 +103,37 @@ def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: 
     """Return a step to the least mean square of the smoothed disturbance.
 
     The covariance counts what the disturbance is along each piece, not each row, as one observation of its own.
+    """
+    d, slopes = _disturbance(problem, trajectory, theta, noise)
+    step, inverse = _to_the_least(problem, d, slopes)
+    left = d + np.einsum("alsq,a->lsq", slopes, step)
+    of_pieces = np.einsum("alsq,lsq->sa", slopes, left)
+    covariance = inverse @ (of_pieces.T @ of_pieces) @ inverse
+    return Step(step, widened(covariance, inverse, _in_time(slopes), _in_time(left)), noise.events)
+
+
+def least_near(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit, covariance: Array) -> Array:
+    """Return the parameters (n_θ,) near θ that leave the least mean square of the smoothed disturbance, about.
+
+    covariance (n_θ,n_θ): of θ
+
+    The least one within a ball is that with a weight on the distance from θ (Moré and Sorensen, 1983).
+    """
+    d, slopes = _disturbance(problem, trajectory, theta, noise)
+    std = np.linalg.cholesky(covariance)
+    normal, turned = np.linalg.eigh(std.T @ np.einsum("alsq,blsq->ab", slopes, slopes) @ std)
+    slope = turned.T @ std.T @ np.einsum("alsq,lsq->a", slopes, d)
+    low, high = 0.0, float(np.linalg.norm(slope)) / _NEAR
+    for _ in range(_HALVINGS):
+        weight = 0.5 * (low + high)
+        far = float(np.linalg.norm(slope / np.maximum(normal + weight, 1e-300)))
+        low, high = (weight, high) if far > _NEAR else (low, weight)
+    return np.asarray(theta - std @ turned @ (slope / np.maximum(normal + high, 1e-300)))
+
+
+def _disturbance(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> tuple[Array, Array]:
+    """Return the smoothed disturbance (L,S,q2) of the pieces, over its bound, and its slopes by θ (n_θ,L,S,q2).
+
     Differences are one-sided: the disturbance is nearly linear in θ.
     """
     K, layout, model = problem.trained, problem.layout, problem.rows.model
@@ -112,17 +145,17 @@ def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: 
         xi = trajectory[told.pieces.rows] + Smoothed(run, backward(told.parts, run)).xi
         return np.asarray((xi[..., layout.disturbance] - model.settings.disturbance_nominal) / model.bound)
 
+    d = disturbance(np.zeros(len(theta)))
+    steps = np.diag(_MOVED * problem.parameter_std)
+    return d, np.array([(disturbance(step) - d) / step.sum() for step in steps])
+
+
+def _to_the_least(problem: Problem, d: Array, slopes: Array) -> tuple[Array, Array]:
+    """Return the step (n_θ,) to the least mean square of d, and the inverse (n_θ,n_θ) of its normal equations."""
     prior = problem.parameter_std
-    d = disturbance(np.zeros(len(prior)))
-    steps = np.diag(_MOVED * prior)
-    slopes = np.array([(disturbance(step) - d) / step.sum() for step in steps])
     normal = np.einsum("alsq,blsq->ab", slopes, slopes)
     inverse = np.linalg.pinv(normal * prior * prior[:, None], rcond=1e-10, hermitian=True) * prior * prior[:, None]
-    step = -inverse @ np.einsum("alsq,lsq->a", slopes, d)
-    left = d + np.einsum("alsq,a->lsq", slopes, step)
-    of_pieces = np.einsum("alsq,lsq->sa", slopes, left)
-    covariance = inverse @ (of_pieces.T @ of_pieces) @ inverse
-    return Step(step, widened(covariance, inverse, _in_time(slopes), _in_time(left)), noise.events)
+    return -inverse @ np.einsum("alsq,lsq->a", slopes, d), inverse
 
 
 def _in_time(pieces: Array) -> Array:
