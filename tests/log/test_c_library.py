@@ -19,6 +19,7 @@ from ndob_fmu.log.smooth.events import Events, Jumps, with_events
 from ndob_fmu.log.smooth.gains import explained_by
 from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
 from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.row_steps import Motion
 from ndob_fmu.log.smooth.row_transition import row_transition
 from ndob_fmu.log.smooth.smoother import backward, forward, lower_factor
 from ndob_fmu.log.smooth.whole_record import WholeRecord
@@ -137,8 +138,10 @@ def test_the_steps_of_a_plant_with_several_disturbances_are_the_same(apart, in_n
     u, H = random.uniform(0.0, 15.0, (ROWS, 2)), random.uniform(1e-3, 0.5, ROWS)  # some of many parts
     directions = found.noise_directions
     sizes = random.uniform(0.5, 1.0, (ROWS, directions.shape[1]))
+    motion = Motion(rows, u, H)
+    plan = motion.plan(xi, xi)
     steps, expected = (
-        call(rows.steps, xi, u, H, directions, sizes, apart=apart) for call in (found_in_c, in_numpy)
+        call(motion.steps, xi, plan, directions, sizes, apart=apart) for call in (found_in_c, in_numpy)
     )  # fmt: skip
     assert_close(vars(steps), vars(expected), 1e-11)
 

@@ -37,12 +37,17 @@ def setup(free=(), **values):
     return Setup(CART, EQUATIONS, told_values(EQUATIONS, {**WRONG, **values}), free, 0.3, None)
 
 
+def pieces(problem, trajectory):
+    """Return a log about a trajectory in pieces, and where events may be in it."""
+    return problem.about(trajectory, problem.told, problem.plan(trajectory, problem.told)).pieces(slice(None))
+
+
 def test_the_slopes_of_the_likelihood_are_its_differences(tmp_path):
     made_log(tmp_path / "log.csv", "steps", 3, rows=700)
     told = setup()
     run = told.online(tmp_path / "log.csv", None, None)
     problem = told.problem(run, 2)
-    record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
+    record, search = pieces(problem, told.trajectory(run, problem))
     events = Events({200: True, 350: False}, frozenset({(120, 1), (201, 0)}))
 
     def at(logs):
@@ -64,7 +69,7 @@ def test_a_noise_that_is_told_far_too_large_is_found_in_a_few_steps(tmp_path, mo
     told = replace(setup(place_noise_std=0.1, rate_noise_std=1.0), hold=0.0)
     run = told.online(tmp_path / "log.csv", None, None)
     problem, calls = told.problem(run, order), []
-    record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
+    record, search = pieces(problem, told.trajectory(run, problem))
     monkeypatch.setattr(noise_fit, "noise_slopes", lambda *one: calls.append(one) or noise_slopes(*one))
     monkeypatch.setattr(noise_fit, "_MOST_TURNS", 1)
     found = noise_fit.fit_noise(record, search, problem.layout, None)
@@ -79,7 +84,7 @@ def test_the_information_about_the_noise_is_taken_once_where_the_noise_is_known_
     told = setup()
     run = told.online(tmp_path / "log.csv", None, None)
     problem, taken = told.problem(run, 1), []
-    record, search = problem.about(told.trajectory(run, problem), problem.told).pieces(slice(None))
+    record, search = pieces(problem, told.trajectory(run, problem))
     known = noise_fit.fit_noise(record, search, problem.layout, None)
     monkeypatch.setattr(noise_fit, "likelihood", lambda *one: taken.append(one) or likelihood(*one))
     off = replace(known, log_variance=known.log_variance + 0.2, log_intensity=known.log_intensity - 0.3)
@@ -126,7 +131,7 @@ def test_what_stands_between_jumps_or_ends_a_few_rows_apart_does_not_count_as_th
     def largest(*jumps):
         events = Events(dict.fromkeys(jumps, False))
         noise = NoiseFit(np.zeros(2), np.zeros(1), np.eye(3), events, 0.0)
-        about = problem.about(trajectory, problem.told)
+        about = problem.about(trajectory, problem.told, problem.plan(trajectory, problem.told))
         return ClassFit(about, noise, np.zeros(0), np.zeros((0, 0)), trajectory, events).largest(np.full(1, 0.5))
 
     assert largest(300, 305, 500) == 1.5

@@ -85,10 +85,13 @@ def rows_and_steps(**told):
 def test_in_a_step_in_which_friction_may_hold_nothing_depends_on_the_disturbance():
     rows, xi, u, channel, sizes = rows_and_steps()
     held = HeldSteps(np.array([[True], [False]]), np.array([0.01, 0.01]), shows_jumps=True)
-    steps, free = (
-        found.steps(rows, xi, u, np.full(2, H), channel, sizes, apart=False)
-        for found in (held, replace(held, by=~held.by))
-    )
+
+    def taken(found):
+        motion, noise = found.motion(rows, xi, u, np.full(2, H))
+        steps = motion.steps(xi, motion.plan(xi, xi), channel, sizes, apart=False)
+        return replace(steps, noise=np.concatenate([steps.noise, noise], axis=2))
+
+    steps, free = taken(held), taken(replace(held, by=~held.by))
     np.testing.assert_array_equal(steps.Phi[0, :2, 2:], 0.0)
     np.testing.assert_allclose(steps.end[0], [0.2, 0.0, 3.0 + 50.0 * H, 50.0], rtol=1e-12)
     assert free.Phi[0, 1, 2] == pytest.approx(H, rel=1e-2)

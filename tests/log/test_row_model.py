@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import scipy.linalg
 import sympy
 
 from ndob_fmu import Model
@@ -12,7 +11,8 @@ from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import told_observer
 from ndob_fmu.log.smooth.along import intensities
-from ndob_fmu.log.smooth.row_model import RowModel, calm_units
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.row_steps import Motion
 from ndob_fmu.log.told_values import told_values
 from ndob_fmu.model.loading import load_model
 from ndob_fmu.runtime.step.error_columns import joined
@@ -44,7 +44,8 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
     u = random.standard_normal((K, len(eq.inputs)))
     intensity = np.ones(found.layout.q)
     sizes = np.broadcast_to(found.noise_sizes(intensity, H), (K, found.noise_directions.shape[1]))
-    steps = rows.steps(xi, u, np.full(K, H), found.noise_directions, sizes, apart=True)
+    motion = Motion(rows, u, np.full(K, H))
+    steps = motion.steps(xi, motion.plan(xi, xi), found.noise_directions, sizes, apart=True)
     nothing = joined(np.zeros((N, N)), np.zeros((N, 0)), np.zeros((N, 0)))
     y, C = rows.output(xi, u), rows.output_slopes(xi, u)
     for k in range(K):
@@ -59,22 +60,6 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
         np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), rtol=0, atol=close)
         np.testing.assert_allclose(y[k], found.predicted_output(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(C[k], found.output_slopes(xi[k], u[k].tolist()), rtol=1e-12, atol=1e-12)
-
-
-def test_steps_of_a_linear_plant_are_those_of_its_exponential():
-    """Along a long log, an error of 1e-6 in the frequency of an oscillation is one of a parameter."""
-    model = Model(
-        name="Spring", states=["place", "rate"], inputs=["push"], outputs=["place"], disturbances=["force"],
-        dynamics=lambda x, u, d, p: [x.rate, u.push + d.force - 100.0 * x.place - x.rate], disturbance_bound=1.0,
-    )  # fmt: skip
-    eq, H = compile_model(model), 0.02
-    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(H).model
-    rows, xi, u = RowModel(found, row_functions(model)), np.array([[0.5, 2.0, -0.7]]), np.array([[0.3]])
-    one = np.ones((1, found.noise_directions.shape[1]))
-    end = rows.steps(xi, u, np.full(1, H), found.noise_directions, one, apart=True).end[0]
-    F = np.array([[0.0, 1.0, 0.0], [-100.0, -1.0, 1.0], [0.0, 0.0, 0.0]])
-    at_rest = np.array([(0.3 - 0.7) / 100.0, 0.0, -0.7])  # with this input and disturbance
-    np.testing.assert_allclose(end, at_rest + scipy.linalg.expm(F * H) @ (xi[0] - at_rest), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -114,44 +99,3 @@ def test_equations_for_rows_have_the_functions_that_numpy_lacks():
     for row, (place, rate), (push,) in zip(found, x.tolist(), u.tolist(), strict=True):
         expected = [rate, 1.0 + math.erf(place) + max(rate, 0.2) + math.tanh(push)]
         np.testing.assert_allclose(row, expected, rtol=1e-14)
-
-
-def test_a_chain_of_integrators_has_units_in_which_its_norm_is_small_however_long_the_step():
-    chain = np.diag([5.0, 0.1], 1)
-    units = calm_units(chain, np.ones(3))
-    assert (chain * (units / units[:, None])).sum(axis=0).max() <= 0.25
-
-
-@pytest.mark.parametrize(("frequency", "parts"), [(200.0, 1), (400.0, 2), (800.0, 4)])
-def test_an_oscillator_whose_states_have_far_different_sizes_takes_as_many_parts_as_its_frequency_needs(
-    frequency, parts
-):
-    model = Model(
-        name="Oscillator",
-        states=["place", "rate"],
-        inputs=["force"],
-        outputs=["place"],
-        disturbances=["load"],
-        dynamics=lambda x, u, d, p: [x.rate, u.force + d.load - frequency**2 * x.place],
-        parameters={},
-    )
-    eq, rows = compile_model(model), 50
-    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(1e-3).model
-    taken, equations, H = [], RowModel(found, row_functions(model)), np.full(rows, 1e-3)
-    in_parts = RowModel._in_parts
-
-    def noted(self, xi, *others, **named):
-        taken.extend([others[5]] * len(xi))
-        return in_parts(self, xi, *others, **named)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RowModel, "_in_parts", noted)
-        sizes = np.ones((rows, found.noise_directions.shape[1]))
-        zeros = np.zeros((rows, found.layout.size)), np.zeros((rows, 1))
-        equations.steps(*zeros, H, found.noise_directions, sizes, apart=True)
-    assert np.median(taken) == parts
-
-
-def test_units_stay_as_they_are_where_the_plant_is_too_fast_for_any():
-    fast = np.array([[4.0, 1.0], [0.0, 0.1]])
-    np.testing.assert_array_equal(calm_units(fast, np.array([2.0, 4.0])), [2.0, 4.0])

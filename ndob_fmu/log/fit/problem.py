@@ -8,11 +8,12 @@ import numpy as np
 
 from ndob_fmu.log.fit.noise_columns import in_few_columns
 from ndob_fmu.log.fit.noise_fit import EventSearch
-from ndob_fmu.log.smooth.along import Samples, Start, record_along
+from ndob_fmu.log.smooth.along import Samples, Start, plan_along, record_along
 from ndob_fmu.log.smooth.events import Jumps
 from ndob_fmu.log.smooth.linear_record import LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
 from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.row_steps import StepPlan
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -60,22 +61,34 @@ class Problem:
         """θ (n_θ,) as told."""
         return np.array([*self.rows.model.parameters, *self.offset])[list(self.free)]
 
-    def about(self, trajectory: Array, theta: Array) -> Linearised:
+    def plan(self, trajectory: Array, theta: Array) -> StepPlan:
+        """Return in which parts steps are taken about a trajectory (K,N), with θ (n_θ,) and near it.
+
+        Raises IntegrationError where the equations cannot be followed.
+        """
+        rows, samples = self._with(theta, len(trajectory))
+        return plan_along(rows, samples, trajectory)
+
+    def about(self, trajectory: Array, theta: Array, plan: StepPlan) -> Linearised:
         """Return the first rows of the log about a trajectory (K,N), with θ (n_θ,).
 
         Raises IntegrationError where the equations cannot be followed.
         """
+        rows, samples = self._with(theta, len(trajectory))
+        start = Start(trajectory[0], np.diag(self.wide))
+        record, columns = record_along(rows, samples, trajectory, lambda H: self.intensity, start, plan, apart=True)
+        record = replace(record, noise=in_few_columns(record.noise, self.layout.q))
+        return Linearised(self, trajectory, record, columns)
+
+    def _with(self, theta: Array, K: int) -> tuple[RowModel, Samples]:
+        """Return the equations with θ, and the first K samples without the offsets in it."""
         told = self.rows.model.parameters
         numbers = np.array([*told, *self.offset])
         numbers[list(self.free)] = theta
         parameters, offset = np.split(numbers, [len(told)])
-        rows = RowModel(replace(self.rows.model, parameters=tuple(parameters.tolist())), self.rows.functions)
-        K, start = len(trajectory), Start(trajectory[0], np.diag(self.wide))
         samples = self.samples.first(K)
-        samples = replace(samples, outputs=samples.outputs - offset)
-        record, columns = record_along(rows, samples, trajectory, lambda H: self.intensity, start, apart=True)
-        record = replace(record, noise=in_few_columns(record.noise, self.layout.q))
-        return Linearised(self, trajectory, record, columns)
+        rows = RowModel(replace(self.rows.model, parameters=tuple(parameters.tolist())), self.rows.functions)
+        return rows, replace(samples, outputs=samples.outputs - offset)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ import numpy as np
 from ndob_fmu.log.smooth.events import Jumps
 from ndob_fmu.log.smooth.held_steps import HeldSteps
 from ndob_fmu.log.smooth.linear_record import LinearRecord
-from ndob_fmu.log.smooth.row_model import NODE_WEIGHTS, RowModel
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.row_steps import NODE_WEIGHTS, Motion, StepPlan
+from ndob_fmu.log.smooth.smoother import lower_factor
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 from ndob_fmu.runtime.step.tuned import Tuned
@@ -78,12 +80,21 @@ def intensities(tuned: Tuned, steps: Array) -> Array:
     return np.broadcast_to(scaled, (len(steps), len(at_tuned)))
 
 
+def plan_along(rows: RowModel, samples: Samples, trajectory: Array) -> StepPlan:
+    """Return in which parts steps along a trajectory ξ (K,N) are taken.
+
+    Raises IntegrationError where the equations have no slopes.
+    """
+    return _motion(rows, samples, trajectory)[0].plan(trajectory[:-1], trajectory[1:])
+
+
 def record_along(
     rows: RowModel,
     samples: Samples,
     trajectory: Array,
     intensity: Callable[[Array], Array],
     start: Start,
+    plan: StepPlan,
     *,
     apart: bool,
 ) -> tuple[LinearRecord, Jumps]:
@@ -91,6 +102,7 @@ def record_along(
 
     intensity: of the noise behind the r-th derivative of d (K-1,q2), for steps (K-1,) s; or (q2,), the same for all
     start: what is known before the first sample
+    plan: as of `plan_along`, of this trajectory
     apart: whether each column of `FilterModel.noise_directions` has N columns of its own in the noise of the record
 
     Raises IntegrationError where the equations cannot be followed along a step.
@@ -99,18 +111,15 @@ def record_along(
     # A sample belongs to the input until then, which outputs with feed-through show.
     before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
     sizes = rows.noise_sizes(intensity(samples.step), samples.step)
-    directions = model.noise_directions
-    at, u, held = trajectory[:-1], samples.inputs[:-1], samples.held
-    if held is None:
-        steps = rows.steps(at, u, samples.step, directions, sizes, apart=apart)
-    else:
-        steps = held.steps(rows, at, u, samples.step, directions, sizes, apart=apart)
+    held, (motion, more) = samples.held, _motion(rows, samples, trajectory)
+    steps = motion.steps(trajectory[:-1], plan, model.noise_directions, sizes, apart=apart)
+    noise = np.concatenate([steps.noise, more], axis=2) if more.size else steps.noise
     in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
     weights = np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None] * model.bound
     np.multiply(steps.jumps, weights, out=in_step[1:].reshape(steps.jumps.shape))
     record = LinearRecord(
         Phi=steps.Phi,
-        noise=steps.noise,
+        noise=noise if apart or not more.size else lower_factor(noise),
         shift=steps.end - trajectory[1:],
         rows=rows.output_slopes(trajectory, before),
         misfit=samples.outputs - rows.output(trajectory, before),
@@ -126,3 +135,11 @@ def record_along(
         every = every.copy()
         every[:-1][hidden], in_step[1:][hidden] = 0.0, 0.0
     return record, Jumps(every, in_step)
+
+
+def _motion(rows: RowModel, samples: Samples, trajectory: Array) -> tuple[Motion, Array]:
+    """Return the motion of ξ in the steps along a trajectory (K,N), and what surfaces make unknown of it (K-1,N,·)."""
+    at, u, H = trajectory[:-1], samples.inputs[:-1], samples.step
+    if samples.held is None:
+        return Motion(rows, u, H), np.zeros((*at.shape, 0))
+    return samples.held.motion(rows, at, u, H)

@@ -18,16 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.log.smooth.events import Events
-from ndob_fmu.log.smooth.row_model import RowModel, RowSteps
-from ndob_fmu.log.smooth.smoother import lower_factor
+from ndob_fmu.log.smooth.row_model import RowModel
+from ndob_fmu.log.smooth.row_steps import Motion
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.filter_model import FilterModel
 
 # The standard deviation of a number anywhere between 0 and 1.
 _ANYWHERE = 12.0**-0.5
-# Of g that is 0 but for rounding, in parts of what the states make of it.
-_ON = 1e-9
-_LEAST = 1e-150
 # So many standard deviations from a surface the smoothed state may be on it.
 _SURE = 3.0
 # Jumps of d that do not show: how many in a row, at least, and their variance in parts of D₀². Between any two values
@@ -96,29 +93,25 @@ class HeldSteps:
         """Return it with one hidden jump in each stretch."""
         return self.with_hidden(Events({first: False for first, _ in stretches(self.any)}))[0]
 
-    def steps(
-        self, rows: RowModel, xi: Array, u: Array, H: Array, channel: Array, sizes: Array, *, apart: bool
-    ) -> RowSteps:
-        """Return `RowModel.steps` from ξ (K,N).
+    def motion(self, rows: RowModel, xi: Array, u: Array, H: Array) -> tuple[Motion, Array]:
+        """Return the motion in steps H (K,) s from ξ (K,N), and what is unknown of it, as noise (K,N,·).
 
-        Columns of noise are added behind the others, a multiple of N.
+        The columns of this noise are a multiple of N.
         """
         (K, N), n, q = xi.shape, rows.model.layout.n, rows.model.layout.q
         count, table = self.by.shape[1], rows.surfaces(xi, u)
         projection = np.tile(np.eye(N), (K, 1, 1))
-        more = np.zeros((K, N, N * -(-(count + 2 * q) // N)))
+        noise = np.zeros((K, N, N * -(-(count + 2 * q) // N)))
         for some in np.unique(self.by[self.any], axis=0):
             at, which = np.flatnonzero((self.by == some).all(axis=1)), np.flatnonzero(some)
             normals, g = table[at][:, which, 1:], table[at][:, which, 0]
             jumps = np.stack([rows.jump(xi[at], u[at], normals[:, j], g[:, j]) for j in range(len(which))], axis=2)
             projection[at, :, :n] -= jumps @ np.linalg.pinv(normals @ jumps[:, :n]) @ normals
-            more[at[:, None], :, which] = np.swapaxes(jumps, 1, 2) * (_ANYWHERE * H[at])[:, None, None]
+            noise[at[:, None], :, which] = np.swapaxes(jumps, 1, 2) * (_ANYWHERE * H[at])[:, None, None]
         unseen = np.sqrt(_VARIANCE * self.hidden * self.any)[:, None, None] * rows.model.jump_channel
-        more[:, :, count : count + q] = unseen * rows.model.bound
-        more[:, :, count + q : count + 2 * q] = self._sustained(rows.model, H)
-        found = rows.steps(xi, u, H, channel, sizes, apart=apart, projection=projection)
-        noise = np.concatenate([found.noise, more], axis=2)
-        return replace(found, noise=noise if apart else lower_factor(noise))
+        noise[:, :, count : count + q] = unseen * rows.model.bound
+        noise[:, :, count + q : count + 2 * q] = self._sustained(rows.model, H)
+        return Motion(rows, u, H, projection), noise
 
     def _sustained(self, model: FilterModel, H: Array) -> Array:
         """Return noise of the r-th derivatives of d (K,N,q2), which does in a stretch what sines at their bounds do.
@@ -175,7 +168,7 @@ def held_at_first(rows: RowModel, trajectory: Array, inputs: Array, *, passing: 
     """
     table, n = rows.surfaces(trajectory, inputs), rows.model.layout.n
     g, normals = table[:, :, 0], table[:, :, 1:]
-    on = np.abs(g) <= _ON * (np.abs(normals) @ np.abs(trajectory[:, :n, None]))[:, :, 0] + _LEAST
+    on = np.abs(g) <= rows.rounding(trajectory, normals)
     by = np.zeros((len(g) - 1, g.shape[1]), dtype=bool)
     for j in range(g.shape[1]):
         passes = np.append(g[1:, j] * g[:-1, j] < 0.0, False)

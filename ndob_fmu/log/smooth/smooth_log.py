@@ -9,7 +9,7 @@ import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.online import SURE_OF_NOISE, Stretch
-from ndob_fmu.log.smooth.along import Samples, Start, intensities, record_along, unpacked_rows
+from ndob_fmu.log.smooth.along import Samples, Start, intensities, plan_along, record_along, unpacked_rows
 from ndob_fmu.log.smooth.event_search import explained_from
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.held_steps import HeldSteps, held_at_first, limited
@@ -112,17 +112,20 @@ def explained_stretch(
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
 
-    def record_of(trajectory: Array, factor: float = 1.0) -> tuple[LinearRecord, Jumps]:
-        return record_along(
-            equations, samples, trajectory, lambda steps: factor * intensities(tuned, steps), start, apart=False
-        )
-
     def linearised(trajectory: Array, events: Events) -> tuple[Explained, Jumps, ModelError]:
-        record, columns = record_of(trajectory)
+        plan = plan_along(equations, samples, trajectory)
+
+        def record_of(factor: float) -> tuple[LinearRecord, Jumps]:
+            def intensity(steps: Array) -> Array:
+                return factor * intensities(tuned, steps)
+
+            return record_along(equations, samples, trajectory, intensity, start, plan, apart=False)
+
+        record, columns = record_of(1.0)
         whole, state_std = WholeRecord(record), model.start_std[: model.layout.n]
         found, error = with_events(whole, columns, events), no_error(record)
         if not is_followed(found.forward):
-            free, _ = record_of(trajectory, _FREE**2)
+            free, _ = record_of(_FREE**2)
             error = error_of_model(record, free, columns, events, state_std, samples.step)
             whole = WholeRecord(error.added_to(record, state_std, samples.step))
             found = with_events(whole, columns, events)

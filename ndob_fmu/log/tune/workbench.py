@@ -18,7 +18,7 @@ from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.first_block import first_block, run_along
-from ndob_fmu.log.smooth.along import Samples, Start, in_layout, intensities, record_along
+from ndob_fmu.log.smooth.along import Samples, Start, in_layout, intensities, plan_along, record_along
 from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
@@ -201,12 +201,14 @@ class Workbench:
         model, log, step = tuned.model, self.stretch.log, self.stretch.step[:-1]
         told = np.broadcast_to(model.noise_variance, log.outputs.shape)
         rows, trajectory = RowModel(model, self._functions), in_layout(self._about, self._layout, model.layout)
+        samples = Samples(step, log.inputs, log.outputs, told, self._held)
         record, columns = record_along(
             rows,
-            Samples(step, log.inputs, log.outputs, told, self._held),
+            samples,
             trajectory,
             lambda steps: intensities(tuned, steps),
             self._start(observer, model),
+            plan_along(rows, samples, trajectory),
             apart=True,
         )
         more = rows.taken_for_disturbance(trajectory, log.inputs)
