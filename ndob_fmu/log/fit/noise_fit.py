@@ -12,12 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from ndob_fmu.log.fit.likelihood import Moved, faster, likelihood
+from ndob_fmu.log.fit.noise_columns import of_each_disturbance
 from ndob_fmu.log.fit.noise_slopes import covariances_of_pace, noise_slopes
 from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Jumps
 from ndob_fmu.log.smooth.linear_record import Forward, LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord
-from ndob_fmu.log.smooth.smoother import backward
+from ndob_fmu.log.smooth.smoother import backward, lower_factor
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -29,7 +30,7 @@ _MOVED = 1e-4
 # and a likelihood that is less than before by as much shows a step that was too long.
 _MOST_STEPS, _LONGEST, _GAIN = 40, 3.0, 0.02
 # Where a logarithm has moved by more, the information is taken anew.
-_FAR = 1.0
+_FAR = 3.0
 # A curvature that was seen along a step counts down to this part of the expected one.
 _FLAT = 0.1
 # A gain of the log-likelihood that chance does not explain.
@@ -119,12 +120,19 @@ def is_jumping(record: CutRecord, search: EventSearch, layout: Layout, found: No
 
 
 def moved(record: CutRecord, layout: Layout, columns: Jumps, at: Array) -> tuple[Moved, list[Moved]]:
-    """Return a record with factors of logarithms (p + q2,) on noise and pace, and with each of these moved."""
-    here, p = _scaled(record, layout, at), record.whole.variance.shape[1]
-    return Moved(here, columns), [
-        Moved(_scaled(here, layout, step, paced=bool(step[p:].any())), columns, _MOVED)
-        for step in _MOVED * np.eye(len(at))
+    """Return a record with factors of logarithms (p + q2,) on noise and pace, and with each of these moved.
+
+    All of them have the same noise in N columns; where a pace is moved, those of its disturbance stand beside it.
+    """
+    here = _scaled(record, layout, at)
+    joined, more = lower_factor(here.parts.noise), np.sqrt(np.expm1(_MOVED))
+    centre = _with_noise(here, joined)
+    noisier = [_noisier(centre, factors) for factors in np.exp(_MOVED * np.eye(record.whole.variance.shape[1]))]
+    paced = [
+        _with_noise(here, np.concatenate([joined, more * each], axis=-1))
+        for each in of_each_disturbance(here.parts.noise, layout.q)
     ]
+    return Moved(centre, columns), [Moved(one, columns, _MOVED) for one in (*noisier, *paced)]
 
 
 @dataclass(frozen=True)
@@ -176,12 +184,22 @@ class _Point:
         return self.told.filtered(self.events)
 
 
-def _scaled(record: CutRecord, layout: Layout, at: Array, *, paced: bool = True) -> CutRecord:
-    """Return a record with factors of logarithms (p + q2,); paced: whether any of the pace is not 0."""
+def _scaled(record: CutRecord, layout: Layout, at: Array) -> CutRecord:
+    """Return a record with factors of logarithms (p + q2,)."""
     variance, intensity = np.split(np.exp(at), [record.whole.variance.shape[1]])
-    whole = replace(record.whole, variance=record.whole.variance * variance)
-    parts = replace(record.parts, variance=record.parts.variance * variance)
-    return replace(record, whole=whole, parts=faster(parts, layout, intensity) if paced else parts)
+    noisier = _noisier(record, variance)
+    return replace(noisier, parts=faster(noisier.parts, layout, intensity))
+
+
+def _noisier(record: CutRecord, factors: Array) -> CutRecord:
+    """Return a record with factors (p,) on the variances of the samples."""
+    whole, parts = (replace(one, variance=one.variance * factors) for one in (record.whole, record.parts))
+    return replace(record, whole=whole, parts=parts)
+
+
+def _with_noise(record: CutRecord, noise: Array) -> CutRecord:
+    """Return a record whose pieces have other noise (L-1,S,N,·)."""
+    return replace(record, parts=replace(record.parts, noise=noise))
 
 
 def _most_likely(noise: NoiseLikelihood, events: Events, at: Array, known: Array | None) -> tuple[Array, float, Array]:
