@@ -13,8 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.log.fit.noise_columns import of_each_disturbance
 from ndob_fmu.log.smooth.events import Events, Jumps, with_outliers
@@ -76,15 +78,18 @@ class Likelihood:
 def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelihood:
     """Return the likelihood of a record with events, and what those say that are moved by one ψ each."""
     run = centre.filtered(events)
-    there = np.isfinite(run.alpha)
+    counts = centre.record.pieces.counts
+    there = np.isfinite(run.alpha) & counts[:, :, None]
     alpha = np.where(there, run.alpha, 1.0)
-    std, e, answer = np.sqrt(alpha), _in_time(run.innovation / np.sqrt(alpha)), list[Array]()
+    std, answer = np.sqrt(alpha), list[Array]()
+    e = _in_time(np.where(there, run.innovation, 0.0) / std)
     for one in moved:
         other = one.filtered(events)
         more = np.where(there, other.alpha / alpha - 1.0, 0.0) * np.sqrt(0.5)
-        answer.append(np.concatenate([_in_time(other.innovation / std) - e, _in_time(more)]) / one.by)
+        further = _in_time(np.where(there, other.innovation, 0.0) / std)
+        answer.append(np.concatenate([further - e, _in_time(more)]) / one.by)
     return Likelihood(
-        values=np.asarray(run.log_likelihoods.sum(axis=0)),
+        values=np.asarray((run.log_likelihoods * counts).sum(axis=0)),
         surprise=np.concatenate([e, np.where(_in_time(there), 1.0 - e**2, 0.0) * np.sqrt(0.5)]),
         answer=np.reshape(answer, (len(moved), 2 * len(e), e.shape[1])),
     )
@@ -98,6 +103,6 @@ def faster(record: LinearRecord, layout: Layout, intensity: Array) -> LinearReco
     return replace(record, noise=noise)
 
 
-def _in_time(pieces: Array) -> Array:
+def _in_time(pieces: NDArray[Any]) -> NDArray[Any]:
     """Return numbers (L,S,p) of pieces as (p,R), one piece after the other."""
     return np.asarray(pieces.transpose(2, 1, 0).reshape(pieces.shape[2], -1))

@@ -170,14 +170,20 @@ class _Point:
     @cached_property
     def value(self) -> float:
         """L."""
-        return float(self._run.log_likelihoods.sum())
+        return float((self._run.log_likelihoods * self.noise.record.pieces.counts).sum())
 
     @cached_property
     def slopes(self) -> Array:
         """∂L by the logarithms (p + q2,)."""
-        record = self.told.with_events(self.events)
+        parts, of_pace, pieces = self.told.with_events(self.events), self.noise.of_pace, self.noise.record.pieces
+        slopes = self._slopes(parts, self._run, of_pace)
+        if len(pieces.first) == 1 or not pieces.begins:
+            return slopes
+        return slopes - self._slopes(*self.noise.record.begins(parts, self._run), of_pace[: pieces.begins - 1, 1:])
+
+    def _slopes(self, parts: LinearRecord, run: Forward, of_pace: Array) -> Array:
         factors = np.exp(self.logs[-self.noise.layout.q :])
-        return noise_slopes(record, backward(record, self._run), self.noise.of_pace, factors)
+        return noise_slopes(parts, backward(parts, run), of_pace, factors)
 
     @cached_property
     def _run(self) -> Forward:

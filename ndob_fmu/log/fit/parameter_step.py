@@ -72,7 +72,7 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
     prior_slopes = -(theta - problem.told) / prior**2
 
     by_parameters = partial(likelihood, centre, of_parameters)
-    first, precision = record.pieces.first, np.diag(of_prior[:n])
+    first, precision = record.pieces.own[:-1], np.diag(of_prior[:n])
     events = needed_events(noise.events, by_parameters, first, prior_slopes, precision)
     found = likelihood(centre, [*of_parameters, *of_noise], events)
     slopes = found.slopes

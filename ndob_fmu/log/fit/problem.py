@@ -17,8 +17,9 @@ from ndob_fmu.log.smooth.row_steps import StepPlan
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
-# Rows of a piece, at least: what a piece begins with is forgotten in a small part of them.
-_PIECE = 150
+# Rows of a piece, at least, and of the piece before it with which it begins. Within those, what it begins with is
+# forgotten.
+_PIECE, _BEGINS = 150, 30
 # A jump at the first row is a part of the start.
 _FIRST = 1
 
@@ -103,7 +104,7 @@ class Linearised:
     def pieces(self, rows: slice) -> tuple[CutRecord, EventSearch]:
         """Return some rows as pieces side by side, and where events may be in them."""
         first, stop, _ = rows.indices(len(self.trajectory))
-        pieces, wide = side_by_side(stop - first, _PIECE), self.problem.wide
+        pieces, wide = side_by_side(stop - first, _PIECE, _BEGINS), self.problem.wide
         kept = slice(first, first + int(pieces.own[-1]))
         some = self.record.some(kept, np.zeros(len(wide)), np.diag(wide))
         return CutRecord(some, pieces, parts_of(some, pieces, wide)), self.search(kept)

@@ -58,12 +58,8 @@ class CLibrary:
         shape = record.rows.shape[:-2]
         p, N = record.rows.shape[-2:]
         adjoint = Adjoint(*(np.empty((*shape, *one)) for one in ((N,), (N, N), (p,), (p,))))
-        self._call(
-            "ndob_backward",
-            ctypes.byref(_Record(record, {})),
-            _addresses(_columns(found)),
-            _addresses(_columns(adjoint)),
-        )
+        told, filtered = ctypes.byref(_Record(record, {})), _columns(found)
+        self._call("ndob_backward", told, _addresses(filtered), _addresses(_columns(adjoint)))
         return adjoint
 
     def lagged_adjoint(self, record: LinearRecord, found: Forward, rows: int) -> tuple[Array, Array]:
@@ -71,7 +67,8 @@ class CLibrary:
         K, _, N = record.rows.shape
         scores = np.empty((K, N)), np.empty((K, N, N))
         told, length = ctypes.byref(_Record(record, {})), ctypes.c_size_t(min(rows + 1, K))
-        self._call("ndob_lagged", told, _addresses(_columns(found)), length, *map(_address, [*scores]))
+        filtered = _columns(found)
+        self._call("ndob_lagged", told, _addresses(filtered), length, *map(_address, [*scores]))
         return scores
 
     def effects(
@@ -84,7 +81,8 @@ class CLibrary:
         arrays = [told.at.astype(np.uintp)]
         arrays += [np.ascontiguousarray(one) for one in (told.x, told.score, told.weight, variances, goes_on)]
         events = _Events(E, c, told.most, told.rows, told.forgotten, *(array.ctypes.data for array in arrays))
-        passed = ctypes.byref(_Record(record, {})), _addresses(_columns(found)), ctypes.byref(events)
+        filtered = _columns(found)
+        passed = ctypes.byref(_Record(record, {})), _addresses(filtered), ctypes.byref(events)
         self._call("ndob_effects", *passed, ctypes.c_int(way), _addresses([of_state, of_sample, reach]))
         return [(G[:stop], g[:stop]) for G, g, stop in zip(of_state, of_sample, reach.tolist(), strict=True)]
 
@@ -194,7 +192,8 @@ def _addresses(arrays: Sequence[NDArray[Any]]) -> ctypes.Array[ctypes.c_void_p]:
 
 
 def _columns(found: Forward | Adjoint) -> list[Array]:
-    return [getattr(found, one.name) for one in fields(found)]
+    """Return the arrays as C reads them; they have to live as long as it does."""
+    return [np.ascontiguousarray(getattr(found, one.name)) for one in fields(found)]
 
 
 def _address(array: NDArray[Any]) -> ctypes.c_void_p:

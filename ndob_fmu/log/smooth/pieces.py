@@ -1,6 +1,8 @@
 """A record as pieces that know nothing of each other, so that their likelihoods add up.
 
-Each begins with a wide covariance about the trajectory, which a small part of its rows forgets.
+Each begins with a wide covariance about the trajectory, which a small part of its rows forgets. These rows belong to
+the piece before, too, and count there. If they counted here, parameters would look likely that narrow the wide
+covariance of the samples: the trajectory knows the samples, so that nothing speaks against them.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from ndob_fmu.log.smooth.smoother import backward, forward
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_PIECES = 48
+_OF_STEPS, _OF_START = ("Phi", "noise", "shift"), ("start", "start_factor")
 
 
 @dataclass(frozen=True)
@@ -24,17 +27,29 @@ class Pieces:
 
     first (S,): the number of their first row
     length: L
-    own (S + 1,): piece s counts for the rows own[s] … own[s + 1] − 1
+    begins: rows with which all but the first one begin, and whose likelihood does not count
     """
 
     first: NDArray[np.intp]
     length: int
-    own: NDArray[np.intp]
+    begins: int
+
+    @property
+    def own(self) -> NDArray[np.intp]:
+        """Where the rows of each piece begin that no piece before it has, and where the last one ends (S + 1,)."""
+        return np.concatenate([[0], self.first[1:] + self.begins, [self.first[-1] + self.length]])
 
     @property
     def rows(self) -> NDArray[np.intp]:
         """The numbers (L,S) of their rows."""
         return self.first + np.arange(self.length)[:, None]
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """Which of the rows (L,S) count."""
+        counts: NDArray[np.bool_] = np.ones((self.length, len(self.first)), dtype=bool)
+        counts[: self.begins, 1:] = False
+        return counts
 
     def joined(self, parts: Array) -> Array:
         """Return an array (K,…) of one (L,S,…), each row from the piece that counts for it."""
@@ -56,11 +71,12 @@ class Pieces:
         return list(zip(self.first.tolist(), self.own[:-1].tolist(), self.own[1:].tolist(), strict=True))
 
 
-def side_by_side(K: int, least: int) -> Pieces:
-    """Return pieces of the first rows of K that do not overlap, of at least so many rows where there are enough."""
-    count = max(1, min(_MOST_PIECES, K // least))
-    own = np.arange(count + 1) * (K // count)
-    return Pieces(own[:-1], K // count, own)
+def side_by_side(K: int, least: int, begins: int = 0) -> Pieces:
+    """Return pieces of the first rows of K, of at least so many rows, with which no other one begins, if there are."""
+    begins = min(begins, K // 2)
+    count = max(1, min(_MOST_PIECES, (K - begins) // least))
+    own = (K - begins) // count
+    return Pieces(own * np.arange(count), own + begins, begins)
 
 
 @dataclass(frozen=True)
@@ -75,6 +91,14 @@ class CutRecord:
     def ends(self) -> NDArray[np.intp]:
         """Rows behind which another piece begins."""
         return self.pieces.own[1:-1] - 1
+
+    def begins(self, parts: LinearRecord, run: Forward) -> tuple[LinearRecord, Forward]:
+        """Return of filtered pieces the rows that do not count, of all pieces but the first one."""
+        rows, steps = slice(self.pieces.begins), slice(self.pieces.begins - 1)
+        told = {one.name: getattr(parts, one.name) for one in fields(parts)}
+        some = {name: told[name][steps if name in _OF_STEPS else rows, 1:] for name in told if name not in _OF_START}
+        starts = {name: told[name][1:] for name in _OF_START}
+        return LinearRecord(**some, **starts), Forward(*(getattr(run, one.name)[rows, 1:] for one in fields(run)))
 
     def passes(self, variance: Array, jumps: Mapping[int, Array]) -> tuple[Forward, Adjoint]:
         """Filter the pieces and return, by row (K,…), what filter and adjoint find.
