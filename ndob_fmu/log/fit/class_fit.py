@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
-from ndob_fmu.log.fit.noise_fit import NoiseFit, fit_noise, is_jumping
+from ndob_fmu.log.fit.noise_fit import NoiseFit, NoiseLikelihood, fit_noise, is_jumping
 from ndob_fmu.log.fit.parameter_step import Step
 from ndob_fmu.log.fit.problem import Linearised, Problem
 from ndob_fmu.log.smooth.along import in_layout
@@ -170,7 +170,14 @@ class ClassFit:
         """The intensities (q2,) of what drives the disturbances, with their standard deviations."""
         q = len(self.noise.log_intensity)
         found = self.problem.intensity * np.exp(self.noise.log_intensity)
-        return found, found * np.sqrt(np.diag(self.noise.covariance)[-q:])
+        return found, found * np.sqrt(np.diag(self.noise_covariance)[-q:])
+
+    @cached_property
+    def noise_covariance(self) -> Array:
+        """Of the logarithms of noise and pace (p + q2,p + q2)."""
+        record, search = self.about.pieces(slice(self.problem.trained))
+        likelihood = NoiseLikelihood(record, self.problem.layout, search.columns)
+        return np.asarray(np.linalg.inv(likelihood.precision(self.noise.logs, self.noise.events)))
 
 
 def fit_class(
@@ -310,5 +317,5 @@ def _rms(problem: Problem, trajectory: Array, events: Events) -> float:
 
 
 def _same(before: NoiseFit, after: NoiseFit, step: Array, std: Array) -> bool:
-    enough = np.maximum(_SAME, _SAME_IN_STD * np.sqrt(np.diag(after.covariance)))
+    enough = np.maximum(_SAME, _SAME_IN_STD * after.std)
     return bool(np.all(np.abs(after.logs - before.logs) < enough) and np.all(np.abs(step) < _SAME_IN_STD * std))

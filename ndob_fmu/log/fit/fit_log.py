@@ -237,7 +237,7 @@ def _raised_bounds(setup: Setup, best: ClassFit) -> dict[str, float]:
 def _noise_std(setup: Setup, best: ClassFit) -> dict[str, Told]:
     told = np.sqrt(best.problem.rows.model.noise_variance)
     p = len(told)
-    log_std = 0.5 * np.sqrt(np.diag(best.noise.covariance)[:p])
+    log_std = 0.5 * np.sqrt(np.diag(best.noise_covariance)[:p])
     found = told * np.exp(0.5 * best.noise.log_variance)
     return {
         name: Told(float(value), float(value * own))

@@ -42,14 +42,14 @@ class NoiseFit:
     """What was found.
 
     log_variance (p,), log_intensity (q2,): of factors on what the record was made with
-    covariance (p + q2,p + q2): of both
+    precision (p + q2,p + q2): of both, as the search saw it, from the information where it was taken last
     events: jumps and outliers
     value: log-likelihood less the costs of the events
     """
 
     log_variance: Array
     log_intensity: Array
-    covariance: Array
+    precision: Array
     events: Events
     value: float
 
@@ -59,9 +59,9 @@ class NoiseFit:
         return np.concatenate([self.log_variance, self.log_intensity])
 
     @property
-    def precision(self) -> Array:
-        """The inverse of the covariance."""
-        return np.asarray(np.linalg.inv(self.covariance))
+    def std(self) -> Array:
+        """Of both, about (p + q2,)."""
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.precision))))
 
     def for_intensity(self, old: Array, new: Array) -> NoiseFit:
         """Return the same pace for a record that was made with other intensities (q2,)."""
@@ -93,10 +93,11 @@ class EventSearch:
 def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: NoiseFit | None) -> NoiseFit:
     """Return the noise of each output and the pace of each disturbance; `start`: where to begin."""
     p, q = record.whole.variance.shape[1], layout.q
-    at, known = (np.zeros(p + q), None) if start is None else (start.logs, start.precision)
     # Pieces may leave out the last rows, in which an event may be known.
     events = Events() if start is None else start.events.before(len(record.whole.rows))
     noise = NoiseLikelihood(record, layout, search.columns)
+    at = np.zeros(p + q) if start is None else start.logs
+    known = noise.precision(at, events) if start is None else start.precision
     for _ in range(_MOST_TURNS):
         at, value, known = _most_likely(noise, events, at, known)
         found = search.within(_scaled(record, layout, at), events)
@@ -105,8 +106,7 @@ def fit_noise(record: CutRecord, search: EventSearch, layout: Layout, start: Noi
         events = found
     else:
         value = noise.at(at, events).value
-    covariance = np.asarray(np.linalg.inv(noise.precision(at, events)))
-    return NoiseFit(at[:p], at[p:], covariance, events, value - events.costs)
+    return NoiseFit(at[:p], at[p:], known, events, value - events.costs)
 
 
 def is_jumping(record: CutRecord, search: EventSearch, layout: Layout, found: NoiseFit) -> bool:
@@ -208,17 +208,16 @@ def _with_noise(record: CutRecord, noise: Array) -> CutRecord:
     return replace(record, parts=replace(record.parts, noise=noise))
 
 
-def _most_likely(noise: NoiseLikelihood, events: Events, at: Array, known: Array | None) -> tuple[Array, float, Array]:
+def _most_likely(noise: NoiseLikelihood, events: Events, at: Array, precision: Array) -> tuple[Array, float, Array]:
     """Return the most likely logarithms (p + q2,), the likelihood about there, and a precision.
 
-    known: a precision to begin with
+    precision: to begin with
 
     Steps of Fisher's scoring, which takes the information that a right model has. That costs as much as many steps, so
     it is taken anew only where the logarithms have moved far; in between, what a step found counts in the next ones, as
     in BFGS.
     """
-    here = noise.at(at, events)
-    precision, taken_at = (noise.precision(at, events) if known is None else known), at
+    here, taken_at = noise.at(at, events), at
     for _ in range(_MOST_STEPS):
         scored = np.asarray(np.linalg.solve(precision, here.slopes))
         step = np.clip(at + _in_logarithms(scored), -UNKNOWN, UNKNOWN) - at
