@@ -16,7 +16,7 @@ from ndob_fmu.runtime.step.fixed_lag import at_lag, is_due, later, moved, rememb
 from ndob_fmu.runtime.step.held import limited
 from ndob_fmu.runtime.step.jump_bank import later_bank, moments, unseen_variance, with_newest
 from ndob_fmu.runtime.step.measurement_update import Measured, bounded
-from ndob_fmu.runtime.step.model_error import followed, is_far_beyond_bound, raised
+from ndob_fmu.runtime.step.model_error import followed, is_far_beyond_bound
 from ndob_fmu.runtime.step.observer import Estimate, numbers
 from ndob_fmu.runtime.step.reconsider import measured_or_reconsidered
 from ndob_fmu.runtime.step.sensor_memory import at_end_of_step, is_in_time
@@ -66,10 +66,8 @@ def step_with_covariance(
 
     starting = memory.age < model.start_samples
     unseen = unseen_variance(measured.jumps, model.bound * model.scale)
-    beyond, model_error = is_far_beyond_bound(model, xi), memory.model_error
-    if beyond:
-        model_error = raised(model, model_error, memory.age, measured.sensors)
-    model_error = followed(model_error, measured.prediction, measured.sensors)
+    beyond = is_far_beyond_bound(model, xi)
+    model_error = followed(model, memory.model_error, memory.age, measured.prediction, beyond=beyond)
     end = predict(model, xi, columns, u, H, intensity, unseen, starting=starting, model_error=model_error)
     published, variance = end.xi, None
     if added.shift is not None and added.variance is not None:
