@@ -85,7 +85,7 @@ def as_told(parameters: Mapping[str, Told]) -> dict[str, float]:
 
 def _in_class(setup: Setup, run: Run, known: ClassFit) -> _Found:
     """Return the parameters that the log tells in the class of a fit."""
-    lacks_more, warnings = False, list[str]()
+    lacks_more, warnings, unlikely, asked = False, list[str](), list[str](), setup
     while setup.free:
         problem = setup.problem(run, known.order)
         fit = _least(problem, known) if lacks_more else _most_likely(problem, known)
@@ -95,11 +95,16 @@ def _in_class(setup: Setup, run: Run, known: ClassFit) -> _Found:
                 f"{known.disturbance_rms:.3g}"
             )
             least = _least(problem, known)
-            if least.noise.value < known.noise.value - _CONTRADICTED:
+            if _is_contradicted(least, known):
                 name = setup.free[int(np.argmax(np.diag(fit.covariance) / problem.parameter_std**2))]
                 warnings.append(f"{name}: {more}; what it does looks like the disturbance, and {_stays(setup, name)}")
-                setup = _without(setup, {name})
+                setup, asked = _without(setup, {name}), _without(asked, {name})
                 continue
+            if unlikely:
+                # What the likelihood does not tell, the least disturbance may.
+                of_all = _least(asked.problem(run, known.order), known)
+                if not _is_contradicted(of_all, known):
+                    setup, least, unlikely = asked, of_all, []
             warnings.append(
                 f"{', '.join(setup.free)}: {more}; the model lacks something else, and the values that leave least "
                 "are taken"
@@ -109,15 +114,16 @@ def _in_class(setup: Setup, run: Run, known: ClassFit) -> _Found:
         if not untold:
             std = np.sqrt(np.diag(fit.covariance)).tolist()
             parameters = map(Told, fit.parameters.tolist(), std)
-            return _Found(dict(zip(setup.free, parameters, strict=True)), fit, tuple(warnings), lacks_more)
+            found = dict(zip(setup.free, parameters, strict=True))
+            return _Found(found, fit, (*warnings, *unlikely), lacks_more)
         disturbances = " or ".join(setup.equations.disturbances)
-        warnings += [
+        unlikely += [
             f"{name}: the log cannot tell it from {disturbances}; {_stays(setup, name)}"
             for name in setup.free
             if name in untold
         ]
         setup = _without(setup, untold)
-    return _Found({}, known, tuple(warnings), lacks_more)
+    return _Found({}, known, (*warnings, *unlikely), lacks_more)
 
 
 def _most_likely(problem: Problem, known: ClassFit) -> ClassFit:
@@ -129,6 +135,11 @@ def _most_likely(problem: Problem, known: ClassFit) -> ClassFit:
 def _least(problem: Problem, known: ClassFit) -> ClassFit:
     """Return the fit with the parameters that leave the least disturbance."""
     return fit_class(problem, known.in_layout_of(problem), least_disturbance, start=known, climbs=False)
+
+
+def _is_contradicted(fit: ClassFit, known: ClassFit) -> bool:
+    """Return whether an output contradicts parameters that leave the least disturbance."""
+    return fit.noise.value < known.noise.value - _CONTRADICTED
 
 
 def _leaves_more(setup: Setup, run: Run, fit: ClassFit, known: ClassFit) -> bool:
