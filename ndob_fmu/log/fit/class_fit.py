@@ -166,6 +166,12 @@ class ClassFit:
         return np.asarray(sizes.mean(axis=0) / between**self.order)
 
     @property
+    def tells_pace(self) -> bool:
+        """Whether the record tells the intensity of each disturbance, at least within a factor of e."""
+        q = len(self.noise.log_intensity)
+        return bool(np.all(np.diag(self.noise_covariance)[-q:] < 1.0))
+
+    @property
     def pace(self) -> tuple[Array, Array]:
         """The intensities (q2,) of what drives the disturbances, with their standard deviations."""
         q = len(self.noise.log_intensity)

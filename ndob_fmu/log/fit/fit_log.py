@@ -34,6 +34,8 @@ _BEYOND, _FAR_BEYOND = 1.2, 2.0
 # A jump that is too small to be noticed at once must be followed, too. Of the mean rate of all jumps: where few are so
 # small, and where an observer that follows most of them errs less than one that waits until it is sure of them.
 _OF_JUMPS, _MOST_OF_JUMPS = 0.3, 10.0
+# By what factor pieces become longer, and how many are left at least.
+_LONGER, _FEWEST = 4, 4
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     warnings = list(run.warnings)
     if not run.is_whole:
         warnings.append(f"the first {run.rows} rows of the log are fitted, the others are not read")
-    fits = _of_each_order(replace(setup, free=()), run)
+    setup, fits = _in_pieces(setup, run)
     best = _best(fits)
     at_first, raised = setup, _raised_bounds(setup, best)
     if any(value > _FAR_BEYOND * setup.values[name] for name, value in raised.items()):
@@ -161,6 +163,22 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         warnings=tuple(warnings),
         start_values={**found, **setup.named("disturbance_rate", rates)},
     )
+
+
+def _in_pieces(setup: Setup, run: Run) -> tuple[Setup, dict[int, ClassFit]]:
+    """Return the fits of each order, and the setup with pieces that are long enough to tell the pace.
+
+    What wanders slowly beside the noise of its sensor, or of a sensor that is read seldom, is a line in a short piece.
+    Values of fits are compared, so that all have the same pieces.
+    """
+    fits = _of_each_order(replace(setup, free=()), run)
+    while not all(fit.tells_pace for fit in fits.values()):
+        longer = min(_LONGER * setup.piece, fits[ORDERS[0]].problem.trained // _FEWEST)
+        if longer <= setup.piece:
+            break
+        setup = replace(setup, piece=longer)
+        fits = _of_each_order(replace(setup, free=()), run)
+    return setup, fits
 
 
 def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:

@@ -17,9 +17,9 @@ from ndob_fmu.log.smooth.row_steps import StepPlan
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
-# Rows of a piece, at least, and of the piece before it with which it begins. Within those, what it begins with is
-# forgotten.
-_PIECE, _BEGINS = 150, 30
+# Rows of a piece, at least. Each begins with a part of the piece before it; within that, what it begins with is
+# forgotten, as a rule.
+PIECE, _BEGINS = 150, 0.2
 # A jump at the first row is a part of the start.
 _FIRST = 1
 
@@ -36,6 +36,7 @@ class Problem:
     parameter_std (n_θ,): prior standard deviations of θ
     trained: how many rows are fitted; the others are held out
     spacing: between two events, in rows
+    piece: rows of a piece, at least
     """
 
     rows: RowModel
@@ -46,6 +47,7 @@ class Problem:
     parameter_std: Array
     trained: int
     spacing: int
+    piece: int
 
     @property
     def layout(self) -> Layout:
@@ -104,7 +106,8 @@ class Linearised:
     def pieces(self, rows: slice) -> tuple[CutRecord, EventSearch]:
         """Return some rows as pieces side by side, and where events may be in them."""
         first, stop, _ = rows.indices(len(self.trajectory))
-        pieces, wide = side_by_side(stop - first, _PIECE, _BEGINS), self.problem.wide
+        least, wide = self.problem.piece, self.problem.wide
+        pieces = side_by_side(stop - first, least, round(_BEGINS * least))
         kept = slice(first, first + int(pieces.own[-1]))
         some = self.record.some(kept, np.zeros(len(wide)), np.diag(wide))
         return CutRecord(some, pieces, parts_of(some, pieces, wide)), self.search(kept)

@@ -15,7 +15,7 @@ from ndob_fmu.interface.model_variables import for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer
 from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
 from ndob_fmu.log.fit.offsets import check_offsets, offset_names, open_offsets
-from ndob_fmu.log.fit.problem import Problem
+from ndob_fmu.log.fit.problem import PIECE, Problem
 from ndob_fmu.log.fit.tried_rates import MOST_ROWS, TRIED
 from ndob_fmu.log.fit.while_moving import while_moving
 from ndob_fmu.log.log import Log
@@ -70,6 +70,7 @@ class Setup:
     free: parameters of the model that are fitted, and offsets of outputs
     hold: share of the rows, the last ones, that is held out
     native: folder of native FMUs, as in `estimate_log`
+    piece: rows of a piece of the record, at least
     """
 
     model: Model
@@ -78,6 +79,7 @@ class Setup:
     free: tuple[str, ...]
     hold: float
     native: Path | None
+    piece: int = PIECE
 
     def check(self) -> None:
         """Raise UsageError for what cannot be fitted."""
@@ -158,6 +160,7 @@ class Setup:
             parameter_std=np.array(prior),
             trained=run.rows - round(self.hold * run.rows),
             spacing=_SPACING,
+            piece=self.piece,
         )
 
     def trajectory(self, run: Run, problem: Problem) -> Array:
