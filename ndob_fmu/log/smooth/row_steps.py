@@ -105,7 +105,9 @@ class Motion:
         most = np.maximum(F.max(axis=0), -F.min(axis=0))
         # In units for the longest step, which a gap makes, all others would take as many parts as that one.
         units = calm_units(usual * longest, model.units(most, longest))
-        size, change = self._bends(xi, towards, F, units)
+        near = [not_copied(rows) for rows in np.array_split(np.arange(len(xi)), len(xi) // _NEAR + 1)]
+        bends = [self._some(rows)._bends(xi[rows], towards[rows], F[rows], units) for rows in near]
+        size, change = (np.concatenate(one) for one in zip(*bends, strict=True))
         if not np.isfinite(size).all():
             raise _left_the_numbers()
         needed = np.maximum(size / _SHORT, change / _STRAIGHT)
@@ -229,8 +231,7 @@ def calm_units(X: Array, units: Array) -> Array:
 
 def _norms(F: Array, units: Array) -> Array:
     """Return ‖F‖ (K,) of F (K,N,N) in units (N,)."""
-    near = np.array_split(F, len(F) // _NEAR + 1)
-    return np.concatenate([((1.0 / units) @ np.abs(some) * units).max(axis=1) for some in near])
+    return np.asarray(((1.0 / units) @ np.abs(F) * units).max(axis=1))
 
 
 def _left_the_numbers() -> IntegrationError:
