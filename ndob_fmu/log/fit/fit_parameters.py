@@ -25,8 +25,8 @@ _NOT_TOLD = 0.5
 # made logs of right models (`benchmarks/fit_logs.py`) it is up to 1.14, on the measured record of EMPS 2.6. Where it is
 # so much larger on the way there, it will not fall again.
 _LARGER, _FAR_LARGER = 1.2, 2.0
-# The parameters that leave the least disturbance are none where outputs contradict them: where the likelihood is less
-# by more than this than with the parameters as told.
+# Outputs contradict the parameters that leave the least disturbance where the likelihood is less by more than this than
+# with the parameters as told.
 _CONTRADICTED = 10.0
 
 
