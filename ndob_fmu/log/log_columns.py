@@ -113,11 +113,12 @@ def _scale(signals: Signals, column: str, name: str) -> tuple[float, float]:
     if unit is None:
         return 1.0, 0.0
     if own is None:
+        of_model = "1" if Unit(unit).to(Unit("1")) else "…"
         raise UsageError.report(
             f"--unit {column}={unit}",
             expected=f"a unit of {name} in the model, to convert to",
             received="none",
-            likely=f'units={{"{name}": …}} is missing in the model',
+            likely=f'units={{"{name}": "{of_model}"}} is missing in the model',
         )
     found = Unit(unit).to(Unit(own))
     if found is None:

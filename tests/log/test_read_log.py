@@ -183,6 +183,7 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path, text, part, block):
         ({}, {"y": "kg"}, "--unit y=kg: expected a unit that can become rad"),
         ({}, {"y": "Deg"}, "likely cause: did you mean 'deg'?"),
         ({}, {"z": "mm"}, "--unit z=mm: expected a unit of z in the model"),
+        ({}, {"z": "%"}, 'likely cause: units={"z": "1"} is missing in the model'),
     ],
 )
 def test_names_and_units_that_do_not_fit_are_refused(tmp_path, names, units, part):
