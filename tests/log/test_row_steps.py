@@ -39,10 +39,10 @@ def drive(width):
     )
 
 
-def tuned(model, order=1):
-    """Return the equations of all rows, of an observer that is tuned to the step."""
+def tuned(model, H=STEP):
+    """Return the equations of all rows, of an observer that is tuned to steps of H (s)."""
     eq = compile_model(model)
-    found = told_observer(eq, told_values(eq, {"disturbance_order": order}).__getitem__, print).tuned(STEP).model
+    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(H).model
     return RowModel(found, row_functions(model))
 
 
@@ -96,14 +96,9 @@ def test_steps_of_a_linear_plant_are_those_of_its_exponential():
         name="Spring", states=["place", "rate"], inputs=["push"], outputs=["place"], disturbances=["force"],
         dynamics=lambda x, u, d, p: [x.rate, u.push + d.force - 100.0 * x.place - x.rate], disturbance_bound=1.0,
     )  # fmt: skip
-    eq, H = compile_model(model), 0.02
-    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(H).model
-    xi, u = np.array([[0.5, 2.0, -0.7]]), np.array([[0.3]])
-    motion, one = (
-        Motion(RowModel(found, row_functions(model)), u, np.full(1, H)),
-        np.ones((1, found.noise_directions.shape[1])),
-    )
-    end = motion.steps(xi, motion.plan(xi, xi), found.noise_directions, one, apart=True).end[0]
+    rows, H, xi = tuned(model, 0.02), 0.02, np.array([[0.5, 2.0, -0.7]])
+    motion, channel = Motion(rows, np.array([[0.3]]), np.full(1, H)), rows.model.noise_directions
+    end = motion.steps(xi, motion.plan(xi, xi), channel, np.ones((1, channel.shape[1])), apart=True).end[0]
     F = np.array([[0.0, 1.0, 0.0], [-100.0, -1.0, 1.0], [0.0, 0.0, 0.0]])
     at_rest = np.array([(0.3 - 0.7) / 100.0, 0.0, -0.7])  # with this input and disturbance
     np.testing.assert_allclose(end, at_rest + scipy.linalg.expm(F * H) @ (xi[0] - at_rest), rtol=0, atol=1e-13)
@@ -128,11 +123,10 @@ def test_an_oscillator_whose_states_have_far_different_sizes_takes_as_many_parts
         dynamics=lambda x, u, d, p: [x.rate, u.force + d.load - frequency**2 * x.place],
         parameters={},
     )
-    eq, rows = compile_model(model), 50
-    found = told_observer(eq, told_values(eq, {"disturbance_order": 1}).__getitem__, print).tuned(1e-3).model
-    zeros, H = np.zeros((rows, found.layout.size)), np.full(rows, 1e-3)
+    rows, K = tuned(model, 1e-3), 50
+    zeros, H = np.zeros((K, rows.model.layout.size)), np.full(K, 1e-3)
     H[7] = 0.05  # a gap in the log, which takes more parts than the other steps do
-    plan = Motion(RowModel(found, row_functions(model)), np.zeros((rows, 1)), H).plan(zeros, zeros)
+    plan = Motion(rows, np.zeros((K, 1)), H).plan(zeros, zeros)
     assert np.median(plan.parts) == parts
     assert plan.parts[7] == 16
 

@@ -39,6 +39,10 @@ class Moved:
         """Return what the filter finds in the pieces (L,S,…), with some events."""
         return forward(self.with_events(events), self.record.pieces.placed(self.columns.at(events.jumps)))
 
+    def values(self, run: Forward) -> Array:
+        """Return the log-likelihoods (S,) of the rows of each piece that count."""
+        return np.asarray((run.log_likelihoods * self.record.pieces.counts).sum(axis=0))
+
     def with_events(self, events: Events) -> LinearRecord:
         """Return the pieces with the variances of some outliers."""
         variance = with_outliers(self.record.whole.variance, events)
@@ -78,8 +82,7 @@ class Likelihood:
 def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelihood:
     """Return the likelihood of a record with events, and what those say that are moved by one ψ each."""
     run = centre.filtered(events)
-    counts = centre.record.pieces.counts
-    there = np.isfinite(run.alpha) & counts[:, :, None]
+    there = np.isfinite(run.alpha) & centre.record.pieces.counts[:, :, None]
     alpha = np.where(there, run.alpha, 1.0)
     std, answer = np.sqrt(alpha), list[Array]()
     e = _in_time(np.where(there, run.innovation, 0.0) / std)
@@ -89,7 +92,7 @@ def likelihood(centre: Moved, moved: Sequence[Moved], events: Events) -> Likelih
         further = _in_time(np.where(there, other.innovation, 0.0) / std)
         answer.append(np.concatenate([further - e, _in_time(more)]) / one.by)
     return Likelihood(
-        values=np.asarray((run.log_likelihoods * counts).sum(axis=0)),
+        values=centre.values(run),
         surprise=np.concatenate([e, np.where(_in_time(there), 1.0 - e**2, 0.0) * np.sqrt(0.5)]),
         answer=np.reshape(answer, (len(moved), 2 * len(e), e.shape[1])),
     )

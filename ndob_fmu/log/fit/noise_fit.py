@@ -170,7 +170,7 @@ class _Point:
     @cached_property
     def value(self) -> float:
         """L."""
-        return float((self._run.log_likelihoods * self.noise.record.pieces.counts).sum())
+        return float(self.told.values(self._run).sum())
 
     @cached_property
     def slopes(self) -> Array:

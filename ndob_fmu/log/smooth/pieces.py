@@ -18,7 +18,6 @@ from ndob_fmu.log.smooth.smoother import backward, forward
 from ndob_fmu.runtime.arrays import Array
 
 _MOST_PIECES = 48
-_OF_STEPS, _OF_START = ("Phi", "noise", "shift"), ("start", "start_factor")
 
 
 @dataclass(frozen=True)
@@ -94,11 +93,19 @@ class CutRecord:
 
     def begins(self, parts: LinearRecord, run: Forward) -> tuple[LinearRecord, Forward]:
         """Return of filtered pieces the rows that do not count, of all pieces but the first one."""
-        rows, steps = slice(self.pieces.begins), slice(self.pieces.begins - 1)
-        told = {one.name: getattr(parts, one.name) for one in fields(parts)}
-        some = {name: told[name][steps if name in _OF_STEPS else rows, 1:] for name in told if name not in _OF_START}
-        starts = {name: told[name][1:] for name in _OF_START}
-        return LinearRecord(**some, **starts), Forward(*(getattr(run, one.name)[rows, 1:] for one in fields(run)))
+        rows = slice(self.pieces.begins)
+        told = parts.some(rows, parts.start, parts.start_factor)
+        record = LinearRecord(
+            Phi=told.Phi[:, 1:],
+            noise=told.noise[:, 1:],
+            shift=told.shift[:, 1:],
+            rows=told.rows[:, 1:],
+            misfit=told.misfit[:, 1:],
+            variance=told.variance[:, 1:],
+            start=told.start[1:],
+            start_factor=told.start_factor[1:],
+        )
+        return record, Forward(*(getattr(run, one.name)[rows, 1:] for one in fields(run)))
 
     def passes(self, variance: Array, jumps: Mapping[int, Array]) -> tuple[Forward, Adjoint]:
         """Filter the pieces and return, by row (K,…), what filter and adjoint find.
