@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from benchmarks.emps.model import model
-from benchmarks.emps.record import AFTER, BEFORE, FORCE, Estimate, known_before, score
+from benchmarks.emps.record import AFTER, BEFORE, FORCE, Estimate, known_online, score
 from benchmarks.estimator.page import save_flat
 from ndob_fmu.log.fit.fit_log import Fitted
 from ndob_fmu.runtime.arrays import Array
@@ -21,6 +21,7 @@ PAGE, WHOLE, EDGE = "emps.md", "emps.png", "emps_edge.png"
 TITLE = "Measured record of a positioning drive (EMPS)"
 FREE = ("mass", "viscous", "coulomb", "offset")
 _STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
+_COLOURS = ("C0", "C1", "C2", "C3")
 _AROUND = (0.01, 0.03)  # s before and after the edge that is shown
 
 
@@ -71,7 +72,7 @@ def draw_whole(t: Array, found: Sequence[Estimate]) -> Drawing:
         upper.plot(t, found[-1].true, "k", linewidth=1.4, label="made force")
         upper.plot(t, found[-1].value, "C3", linewidth=0.9)
         upper.set_ylabel("force [N]")
-        for one, colour in zip(found, ("C0", "C2", "C3"), strict=True):
+        for one, colour in zip(found, _COLOURS, strict=True):
             lower.plot(t, one.value - one.true, colour, linewidth=0.7, label=one.title)
         lower.set_ylim(-30.0, 30.0)
         lower.set_ylabel("error [N]")
@@ -87,9 +88,8 @@ def draw_edge(t: Array, found: Sequence[Estimate]) -> Drawing:
     edge = float(edges[len(edges) // 2])
     with mpl.rc_context(_STYLE):
         drawing = Drawing(figsize=(9.0, 3.2), layout="constrained")
-        for axes, one, colour in zip(
-            drawing.subplots(1, len(found), sharey=True), found, ("C0", "C2", "C3"), strict=True
-        ):
+        panels = drawing.subplots(1, len(found), sharey=True)
+        for axes, one, colour in zip(panels, found, _COLOURS, strict=True):
             # The lag, if it has one, is taken off, so that the edges lie below one another.
             own = t[1:][np.diff(one.true) != 0.0]
             ms = 1e3 * (t - own[len(edges) // 2])
@@ -98,10 +98,10 @@ def draw_edge(t: Array, found: Sequence[Estimate]) -> Drawing:
             axes.fill_between(ms[seen], value - two_std, value + two_std, color=colour, alpha=0.2, linewidth=0)
             axes.step(ms[seen], one.true[seen], "k", linewidth=1.4, where="post")
             axes.plot(ms[seen], value, f"{colour}.-", linewidth=0.9, markersize=3)
-            axes.set_title(one.title)
-            axes.set_xlabel(f"time from the edge at {edge:.2f} s [ms]")
+            axes.set_title(one.title, fontsize=9)
             axes.set_ylim(-1.5 * FORCE, 1.5 * FORCE)
         drawing.axes[0].set_ylabel("force [N]")
+        drawing.supxlabel(f"time from the edge at {edge:.2f} s [ms]", fontsize=9)
     return drawing
 
 
@@ -124,7 +124,8 @@ def write(folder: Path, fitted: Fitted, t: Array, found: Sequence[Estimate]) -> 
         stop=t[-1] - t[0],
         rows=len(t),
         errors=table(t, found),
-        least=score(t, known_before(found[0])).rms,
+        least_at=score(t, known_online(found[0], 1)).rms,
+        least_next=score(t, known_online(found[1], 2)).rms,
         fitted=fitted_table(fitted),
         maps=map_table(fitted),
         warnings="".join(f"\n> {line}\n" for line in fitted.warnings),
@@ -178,12 +179,14 @@ What `fit` says besides:
 {errors}
 
 The first 0.2 s are not judged. "Away from the edges" leaves out {before:g} ms before an edge and {after:g} ms after it.
-The online estimate cannot know a jump before samples show it: an edge moves the position from the next sample on, and
-a row's estimate is made of the samples before that row. These two rows at each edge alone make {least:.1f} N. Later
-samples show where the jump was. What is left is an error of the model: ripple of the spindle, and friction when the
-drive turns. The observer finds this force too. It is not in the made one. All bands hold what the error bars of the
-parameters make of it, which is most of it; the later estimates have little else in theirs, so that they hold fewer
-than 95 % of the errors. `fit` has seen the same record, without pulses; a record of another day would be a harder test.
+"At the sample" is the estimate from all samples so far (`force_at_sample`), "for the next sample" the prediction that
+a controller has when the next sample comes (`force_hat`). No online estimate can know a jump before samples show it:
+an edge moves the position from the next sample on. One row at each edge alone makes {least_at:.1f} N at the sample, two
+rows make {least_next:.1f} N in the prediction. Later samples show where the jump was. What is left is an error of the
+model: ripple of the spindle, and friction when the drive turns. The observer finds this force too. It is not in the
+made one. All bands hold what the error bars of the parameters make of it, which is most of it; the later estimates
+have little else in theirs, so that they hold fewer than 95 % of the errors. `fit` has seen the same record, without
+pulses; a record of another day would be a harder test.
 
 ![Each estimate with its error bar around an edge]({edge})
 

@@ -69,29 +69,34 @@ class Estimate:
 
 
 def estimates(result: Recording, force: Array) -> list[Estimate]:
-    """Return the three estimates of a result of `estimate` beside the force (K,) that was made."""
-    step = float(np.median(np.diff(result.time)))
+    """Return the four estimates of a result of `estimate` beside the force (K,) that was made."""
     # Row k holds what the step from row k − 1 to it said, so that the sample is that of row k − 1.
-    late = 1 + round(LAG / step)
-    before = np.concatenate([np.full(late, force[0]), force[:-late]])
+    late = 1 + round(LAG / float(np.median(np.diff(result.time))))
+    online_std = result["observer.force_std"]
     return [
-        Estimate("online", result["observer.force_hat"], result["observer.force_std"], force),
+        Estimate("online, at the sample", result["observer.force_at_sample"], online_std, _delayed(force, 1)),
+        Estimate("online, for the next sample", result["observer.force_hat"], online_std, force),
         Estimate(
             f"at a lag of {1e3 * LAG:g} ms",
             result["observer.force_lagged"],
             result["observer.force_lagged_std"],
-            before,
+            _delayed(force, late),
         ),
         Estimate("smoothed", result["smoother.force"], result["smoother.force_std"], force),
     ]
 
 
-def known_before(online: Estimate) -> Estimate:
-    """Return the force as the samples before each row tell it, without noise: no online estimate can know more.
+def known_online(online: Estimate, rows: int) -> Estimate:
+    """Return the force as samples without noise tell it, so many rows late: no online estimate can know more.
 
-    A force moves the position from the sample after its edge on, and a row's estimate is made of the samples before it.
+    A force moves the position from the sample after its edge on: one row for the estimate at the sample, another for
+    the one that predicts the next sample.
     """
-    return replace(online, value=np.concatenate([online.true[:1], online.true[:1], online.true[:-2]]))
+    return replace(online, value=_delayed(online.true, rows))
+
+
+def _delayed(values: Array, rows: int) -> Array:
+    return np.concatenate([np.full(rows, values[0]), values[:-rows]])
 
 
 @dataclass(frozen=True)
