@@ -184,9 +184,8 @@ a controller has when the next sample comes (`force_hat`). No online estimate ca
 an edge moves the position from the next sample on. One row at each edge alone makes {least_at:.1f} N at the sample, two
 rows make {least_next:.1f} N in the prediction. Later samples show where the jump was. What is left is an error of the
 model: ripple of the spindle, and friction when the drive turns. The observer finds this force too. It is not in the
-made one. All bands hold what the error bars of the parameters make of it, which is most of it; the later estimates
-have little else in theirs, so that they hold fewer than 95 % of the errors. `fit` has seen the same record, without
-pulses; a record of another day would be a harder test.
+made one. `fit` chooses the rate of the disturbance so high that all bands hold it. `fit` has seen the same record,
+without pulses; a record of another day would be a harder test.
 
 ![Each estimate with its error bar around an edge]({edge})
 

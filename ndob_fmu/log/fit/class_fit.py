@@ -35,7 +35,10 @@ _SAME_IN_STD, _SAME = 0.1, 0.02
 _LESS = 0.5
 # A step of a parameter, at most, in its prior standard deviations.
 _LONGEST_STEP = 0.5
-# Error bars that hold what wanders between jumps, about.
+# Error bars hold where nine of ten errors are within two of them: those of a normal number are within 1.64 standard
+# deviations.
+_OF_STD = 1.64 / 2.0
+# They are raised until they are within this factor of what is needed.
 _HOLDS, _MOST_RAISES = 0.95, 8
 # By what power of a factor on the intensity the variance of d̂ grows, about.
 _POWER = 0.75
@@ -272,16 +275,14 @@ def _raised(known: Linearised, noise: NoiseFit) -> Array:
     for turn in range(_MOST_RAISES):
         told = replace(noise, log_intensity=noise.log_intensity + np.log(factors))
         found = with_events(_whole(known, told), known.columns, noise.events)
+        change, variance = Smoothed(found.forward, found.adjoint).some(places)
         if turn == 0:
-            smooth = known.trajectory[:, places] + Smoothed(found.forward, found.adjoint).xi[:, places]
-            jumps = sorted(found.events.jumps)
-            wanders = np.minimum(
+            smooth, jumps = known.trajectory[:, places] + change, sorted(found.events.jumps)
+            needed = _OF_STD * np.minimum(
                 _wanders(smooth, problem.rows.model.start_samples, jumps),
                 _SMALL * np.median(_jump_sizes(smooth, jumps), axis=0),
             )
-        std = np.median(np.linalg.norm(found.forward.factor[:, places], axis=2), axis=0)
-        if turn == 0:
-            needed = np.hypot(wanders, std)
+        std = np.sqrt(np.median(variance, axis=0))
         if np.all(std >= _HOLDS * needed):
             break
         factors = np.maximum(factors * (needed / std) ** (2.0 / _POWER), factors)

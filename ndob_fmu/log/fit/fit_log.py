@@ -223,7 +223,10 @@ def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, 
     )
     if not best.is_jumping:
         return rates
-    lowest, highest = _OF_JUMPS * best.jumping_rate, np.maximum(rates, _MOST_OF_JUMPS * best.jumping_rate)
+    # With a lower rate than that of a raised pace, error bars do not hold what wanders between jumps.
+    of_jumps = best.jumping_rate
+    least, highest = _OF_JUMPS * of_jumps, np.maximum(rates, _MOST_OF_JUMPS * of_jumps)
+    lowest = np.where(best.raised > 1.0, np.maximum(rates, least), least)
     first = best.problem.rows.model.start_samples
     smoothed = best.disturbance[: MOST_ROWS - first]
 
