@@ -84,7 +84,7 @@ def _sampled(model, *, steps=101, **settings) -> None:
     driven_modes(observer.system.linear.A, observer.system.linear.G_d)
     state = observer.init(eq.xhat0)
     d = 0.3 * np.array(eq.disturbance_bound)
-    h = _H
+    h, last = _H, np.zeros(len(eq.outputs))
     for k in range(steps):
         if k in (50, 62):
             d = -d
@@ -95,6 +95,9 @@ def _sampled(model, *, steps=101, **settings) -> None:
             y += 5.0 + np.arange(len(y))
         if k == 40:
             y[0] = np.nan
+        if k == 45:
+            y[0] = last[0]
+        last = y
         observer.estimate(state, tuple(y))
         state, _ = observer.step(state, u, y.tolist(), h)
         observer.possible(state)

@@ -34,6 +34,11 @@ _LOG_ANY_SIZE = -20.0
 _RAREST_REPEAT = 1e-4
 
 
+def is_stuck(in_a_row: float) -> bool:
+    """Return whether a sensor is stuck rather than good, for the probability of its repeats as in `SensorMemory`."""
+    return in_a_row < log(_REPEATED / (1.0 - _REPEATED))
+
+
 @dataclass(frozen=True)
 class Judgement:
     """What a sample of one output is taken for.

@@ -48,6 +48,9 @@ class SensorMemory:
     doubtful: refused samples that are not in `outlier_rate` yet, because a jump may still explain them.
     resolution: the step of which all changes from one sample to the next may be multiples; ∞ before there was one.
     multiples: how many changes told that they are, counted up to a limit.
+    fine: changes from one sample to the next, of about the noise or less, in which noise showed; halved by each repeat
+        that is used, counted up to a limit.
+    in_a_row: logarithm of the probability that a good sensor repeats its sample as often as this one just did.
     refused: whether the last sample was refused.
     debt: how improbable the refused samples are, in nats; falls with each sample that is used.
     skipped, drift: mean square and mean of the innovations that were refused.
@@ -66,6 +69,8 @@ class SensorMemory:
     doubtful: float = 0.0
     resolution: float = inf
     multiples: float = 0.0
+    fine: float = 0.0
+    in_a_row: float = 0.0
     refused: bool = False
     debt: float = 0.0
     skipped: float = 0.0
@@ -191,6 +196,8 @@ def _is_possible_sensor(sensor: SensorMemory) -> bool:
         0.0 <= sensor.noise_ratio < inf
         and 0.0 <= sensor.counted < inf
         and 0.0 <= sensor.multiples < inf
+        and 0.0 <= sensor.fine < inf
+        and -inf < sensor.in_a_row <= 0.0
         and 0.0 <= sensor.outlier_rate < inf
         and 0.0 <= sensor.doubtful < inf
         and 0.0 <= sensor.debt < inf

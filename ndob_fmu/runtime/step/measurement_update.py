@@ -9,7 +9,7 @@ but not estimated, may be zero (Schmidt, 1966). An entry that is not finite was 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Vector
 from ndob_fmu.runtime.generated_steps import MEMORY, Numbers
 from ndob_fmu.runtime.step.error_columns import ErrorColumns, joined
-from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, judge
+from ndob_fmu.runtime.step.faulty_samples import SUSPICIOUS, is_stuck, judge
 from ndob_fmu.runtime.step.filter_model import FilterModel
 from ndob_fmu.runtime.step.filter_state import FilterMemory, JumpBank, LagMemory, SampledObserverState, SensorMemory
 from ndob_fmu.runtime.step.fixed_lag import moved, smoothed, without_signatures
@@ -40,6 +40,7 @@ from ndob_fmu.runtime.step.sensor_memory import (
     after_refused,
     after_used,
     goes_on,
+    in_a_row,
     latest_mean,
 )
 
@@ -105,8 +106,14 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
     # The sample that ends a stretch with a frozen gain is there because it is unusual, and would not be a fair one.
     learns = memory.age > model.layout.size and not memory.converged
     repeats = [one and y[i] == state.sample[i] for i, one in enumerate(prediction.measured)]
+    alike = [in_a_row(memory.sensors[i], prediction.noise[i]) if repeats[i] else 0.0 for i in range(p)]
     stale = memory.age > 0 and any(
-        repeats[i] and (abs(prediction.innovation[i]) > SUSPICIOUS * prediction.std[i] or memory.sensors[i].refused)
+        repeats[i]
+        and (
+            abs(prediction.innovation[i]) > SUSPICIOUS * prediction.std[i]
+            or memory.sensors[i].refused
+            or is_stuck(alike[i])
+        )
         for i in range(p)
     )
     columns = memory.columns.with_room(p)
@@ -132,7 +139,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
                 seen.alpha,
                 seen.noise,
                 repeats=repeats[i],
-                repeat_rate=before.repeat_rate,
+                repeat_rate=min(before.repeat_rate, exp(alike[i])),
                 outlier_rate=before.outlier_rate,
                 doubtful=before.doubtful,
                 again=fault or (before.refused and repeats[i]),
@@ -172,7 +179,7 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
     added = mixture(now.jumps, now.columns.signatures)
     if added.certain:
         now = _with_jump(model, now)
-        used = prediction.measured
+        used = [one and not is_stuck(alike[i]) for i, one in enumerate(prediction.measured)]
         sensors = [after_jump(sensor, measured=one) for sensor, one in zip(sensors, used, strict=True)]
         added = mixture(now.jumps, now.columns.signatures)
     return Measured(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import log, pi, sqrt
 
 from ndob_fmu.runtime.generated_steps import MEMORY
 from ndob_fmu.runtime.step.adaptive_noise import averaged, common_step, of_rounding, weight_of
@@ -27,6 +27,9 @@ _OUTLIER_MEMORY, _DOUBT = 300.0, 10.0
 # An innovation follows the one before that is not smaller by more than this factor. What a refused sample left counts
 # as one before up to so many standard deviations. Innovations that are too large on average are too large as a rule.
 _FOLLOWS, _NEAR, _RULE = 2.5, 10.0, 2.0
+# A change of at most so many standard deviations of the noise would be none if the sensor were rounded. The noise shows
+# where the innovation changes by the second number of them. So many such changes are counted.
+_SMALL, _NOISE, _FINE = 2.0, 0.5, 100.0
 LATE = 1.5  # the estimate counts as valid for so many of the usual intervals between samples
 
 
@@ -44,6 +47,27 @@ def goes_on(sensor: SensorMemory, e: float, alpha: float) -> bool:
     before = sensor.last * max(1.0, sqrt(alpha / sensor.last_variance))
     follows = before * e > 0.0 and abs(e) <= _FOLLOWS * abs(before)
     return follows or (sensor.usual > _RULE and e * e <= SUSPICIOUS**2 * sensor.usual * alpha)
+
+
+def in_a_row(sensor: SensorMemory, noise: float) -> float:
+    """Return the logarithm of the probability that a good sensor repeats its sample once more, after those in a row.
+
+    Noise that shows in small changes repeats no value but by the rounding, whose step is known to be no larger than
+    the common one of all changes.
+
+    noise: its variance
+    """
+    of_rounding_alike = min(sensor.resolution / sqrt(2.0 * pi * noise), 1.0)
+    return sensor.in_a_row + log(max(sensor.repeat_rate, 1.0 / (1.0 + sensor.fine), of_rounding_alike))
+
+
+def _shows_noise(sensor: SensorMemory, sample: Innovation) -> bool:
+    """Return whether a change would have been none with a rounded sensor, and shows noise.
+
+    Without noise the innovation changes little by little.
+    """
+    size = sqrt(sample.noise)
+    return abs(sample.change) <= _SMALL * size and abs(sample.e - sensor.last) >= _NOISE * size
 
 
 def _repeat_rate(sensor: SensorMemory, repeats: bool) -> float:
@@ -92,6 +116,8 @@ def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> Sen
         doubtful=sensor.doubtful - found,
         resolution=resolution,
         multiples=multiples,
+        fine=0.5 * sensor.fine if sample.repeats else min(sensor.fine + _shows_noise(sensor, sample), _FINE),
+        in_a_row=in_a_row(sensor, sample.noise) if sample.repeats else 0.0,
         refused=False,
         debt=sensor.debt * _DEBT_LEFT,
         skipped=sensor.skipped,
@@ -127,6 +153,8 @@ def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *,
         doubtful=sensor.doubtful + (not sample.repeats),
         resolution=resolution,
         multiples=multiples,
+        fine=sensor.fine,
+        in_a_row=sensor.in_a_row if sample.repeats else 0.0,
         refused=True,
         debt=sensor.debt + (0.0 if sample.repeats else min(max(-if_faulty, 0.0), _MOST_DEBT)),
         skipped=e * e if fresh else 0.5 * (sensor.skipped + e * e),
@@ -171,6 +199,8 @@ def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
         doubtful=sensor.doubtful,
         resolution=sensor.resolution,
         multiples=sensor.multiples,
+        fine=sensor.fine,
+        in_a_row=sensor.in_a_row,
         refused=sensor.refused,
         debt=sensor.debt,
         skipped=sensor.skipped,
