@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, pi
+from math import ceil, inf, isnan, nan, pi
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.errors import UsageError, nearest, one_of
@@ -15,13 +16,14 @@ from ndob_fmu.model.model import Model
 from ndob_fmu.results.csv_files import write_csv
 from ndob_fmu.results.recording import Recording
 from ndob_fmu.runtime.arrays import Array
+from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.disturbance import KINDS, Generator
-from ndob_fmu.runtime.blocks.plant import Plant
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.blocks.plant import Plant, PlantState
+from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.support.files import atomic_path
 
 Signal = Callable[[float], float]
-# drive(t, x): the inputs (m,) from the time t (s) on, where the states are x (n,)
+# drive(t, y): the inputs (m,) from the time t (s) on, where y (p,) are the latest samples of the outputs
 Drive = Callable[[float, Sequence[float]], Sequence[float]]
 
 # The disturbance is held over so many parts of a usual step.
@@ -93,18 +95,21 @@ def make_log(
 ) -> Path:
     """Write a log of a plant, and beside it `<name>_truth.csv`; return the path of the truth.
 
-    drive: the inputs of each row, held until the next one; a trajectory, or a controller that knows the states
+    drive: the inputs of each row, held until the next one; a trajectory, or a controller that has what its sensors
+        measured: of each output the latest sample, that of the row included. It is called once a row, in their order.
+        Where no sample has come yet, it has the output at the start
     step: usual time between two rows (s); the first one is at 0
     disturbances: each as a function of the time; those that are left out are at their nominal value
     sensors: of the outputs; one that is left out gives the true value
     parameters: true values, in place of the model's
     jitter: standard deviation of a row's time over the step; a row is taken when its time stamp says
-    gaps: (begin, end) of times (s) in which the logger wrote nothing
+    gaps: (begin, end) of times (s) in which the logger wrote nothing; the controller has these samples
     seed: of noise, lost samples, outliers and jitter; the same arguments write the same bytes
 
     The log has the columns `time`, inputs and outputs; the truth has for each row of it the disturbances and states at
-    its time. Raises UsageError for names that the model does not have and numbers that cannot be used, and
-    IntegrationError where the states leave the finite numbers.
+    its time. A sample with feed-through shows the inputs of the row before, in the first row its own. Raises UsageError
+    for names that the model does not have and numbers that cannot be used, and IntegrationError where the equations
+    cannot be followed.
     """
     eq = compile_model(model)
     told, wanted, values = dict(disturbances or {}), dict(sensors or {}), dict(parameters or {})
@@ -121,11 +126,12 @@ def make_log(
         told.get(name, lambda t, nominal=nominal: nominal)
         for name, nominal in zip(eq.disturbances, eq.disturbance_nominal, strict=True)
     ]
-    inputs, states = _along(eq, p, times, step, drive, signals)
+    measured = [
+        _Measured.by(wanted.get(name, Sensor()), len(times), [seed, _OF_OUTPUTS + i])
+        for i, name in enumerate(eq.outputs)
+    ]
+    inputs, states, outputs = _along(eq, p, times, step, drive, signals, measured)
     d = np.array([[signal(t) for signal in signals] for t in times.tolist()]).reshape(len(times), len(signals))
-    outputs = np.array([eq.output(x, u, p) for x, u in zip(states.tolist(), inputs.tolist(), strict=True)])
-    for i, name in enumerate(eq.outputs):
-        outputs[:, i] = _sampled(outputs[:, i], wanted.get(name, Sensor()), [seed, _OF_OUTPUTS + i])
     kept = np.full(len(times), True)
     for begin, end in gaps:
         kept &= (times < begin) | (times > end)
@@ -163,41 +169,88 @@ def _times(step: float, stop_time: float, jitter: float, seed: int) -> Array:
     return np.array(step * (np.arange(count) + np.clip(off, -_MOST_JITTER, _MOST_JITTER)), dtype=float)
 
 
+@dataclass(frozen=True)
+class _Measured:
+    """What a sensor makes of an output in K rows.
+
+    error (K,): that it adds; absent (K,): whether there is no sample
+    resolution: as in `Sensor`
+    """
+
+    error: Array
+    absent: NDArray[np.bool_]
+    resolution: float
+
+    @classmethod
+    def by(cls, sensor: Sensor, count: int, stream: Sequence[int]) -> _Measured:
+        random = np.random.default_rng(stream)
+        noise, lost, wrong = random.standard_normal(count), random.random(count), random.random(count)
+        size = random.uniform(0.5, 1.0, count) * random.choice([-1.0, 1.0], count)
+        wrong_by = np.where(wrong < sensor.outliers, sensor.outlier_size * size, 0.0)
+        absent = (np.arange(count) % sensor.every != 0) | (lost < sensor.missing)
+        return cls(sensor.bias + sensor.noise_std * noise + wrong_by, absent, sensor.resolution)
+
+    def sample(self, k: int, true: float) -> float:
+        """Return the sample in a row; NaN where there is none."""
+        if self.absent[k]:
+            return nan
+        found = true + float(self.error[k])
+        return self.resolution * round(found / self.resolution) if self.resolution else found
+
+
 def _along(
-    eq: Equations, p: Sequence[float], times: Array, step: float, drive: Drive, signals: Sequence[Signal]
-) -> tuple[Array, Array]:
-    """Return the inputs (K,m) and the states (K,n) at the times (K,)."""
+    eq: Equations,
+    p: Vector,
+    times: Array,
+    step: float,
+    drive: Drive,
+    signals: Sequence[Signal],
+    measured: Sequence[_Measured],
+) -> tuple[Array, Array, Array]:
+    """Return the inputs (K,m), the states (K,n) and the samples (K,p) at the times (K,)."""
     plant = Plant(eq, tuple(p), [Generator(KINDS["none"], 0.0, 0.0, 0.0)] * len(signals))
     state = plant.init(eq.x0, 0.0)
-    inputs, states = [], []
-    for t, after in zip(times.tolist(), [*times[1:].tolist(), None], strict=True):
-        u = [float(value) for value in drive(t, state.x)]
+
+    def samples(k: int, u: Vector) -> list[float]:
+        return [one.sample(k, true) for one, true in zip(measured, eq.output(state.x, u, p), strict=True)]
+
+    u = [0.0] * len(eq.inputs)
+    latest = list(eq.output(state.x, u, p))
+    rows = []
+    for k, (t, after) in enumerate(zip(times.tolist(), [*times[1:].tolist(), None], strict=True)):
+        y = samples(k, u)
+        latest = [before if isnan(new) else new for new, before in zip(y, latest, strict=True)]
+        u = [float(value) for value in drive(t, tuple(latest))]
         if len(u) != len(eq.inputs):
             raise UsageError.report("drive", expected=f"{len(eq.inputs)} inputs", received=f"{len(u)}")
-        inputs.append(u)
-        states.append(state.x)
+        # The controller finds the plant with inputs of 0. A reader takes the first ones for older than the log.
+        rows.append((u, state.x, y if k else samples(0, u)))
         if after is None:
             break
         parts = ceil(_PARTS * (after - t) / step)
-        ends = [t + (after - t) * k / parts for k in range(1, parts)] + [after]
+        ends = [t + (after - t) * part / parts for part in range(1, parts)] + [after]
         for end in ends:
             middle = (state.t + end) / 2.0
-            state = plant.step(state, u, [signal(middle) for signal in signals], end)
-    return np.array(inputs).reshape(len(times), len(eq.inputs)), np.array(states)
+            try:
+                state = plant.step(state, u, [signal(middle) for signal in signals], end)
+            except IntegrationError as error:
+                raise _cannot_be_followed(eq, state) from error
+    inputs, states, outputs = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
+    return inputs, states, outputs
 
 
-def _sampled(true: Array, sensor: Sensor, stream: Sequence[int]) -> Array:
-    """Return the samples of an output (K,), NaN where there is none."""
-    random, count = np.random.default_rng(stream), len(true)
-    noise, lost, wrong = random.standard_normal(count), random.random(count), random.random(count)
-    error = random.uniform(0.5, 1.0, count) * random.choice([-1.0, 1.0], count)
-    wrong_by = np.where(wrong < sensor.outliers, sensor.outlier_size * error, 0.0)
-    samples = true + sensor.bias + sensor.noise_std * noise + wrong_by
-    if sensor.resolution:
-        samples = sensor.resolution * np.round(samples / sensor.resolution)
-    absent = (np.arange(count) % sensor.every != 0) | (lost < sensor.missing)
-    samples[absent] = np.nan
-    return samples
+def _cannot_be_followed(eq: Equations, state: PlantState) -> IntegrationError:
+    """Return the error that says where a plant came to, and which states are not in their ranges there."""
+    likely = "a state leaves where the equations hold, or the plant is too stiff"
+    for name, value in zip(eq.states, state.x, strict=True):
+        low, high = eq.ranges.get(name, (-inf, inf))
+        if not low <= value <= high:
+            likely = f"{name} is {value:.4g}, outside its range {low:g} to {high:g}"
+            break
+    at = ", ".join(f"{name} = {value:.4g}" for name, value in zip(eq.states, state.x, strict=True))
+    return IntegrationError(
+        f"plant at {state.t:.4g} s: its equations cannot be followed from {at}; likely cause: {likely}"
+    )
 
 
 def _write(path: Path, names: Sequence[str], rows: Array) -> None:

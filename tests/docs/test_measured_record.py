@@ -67,7 +67,7 @@ def made(tmp_path_factory):
     """A short record of the drive's model, in the form of the measured one."""
     folder = tmp_path_factory.mktemp("emps")
     sensors = {"position": Sensor(noise_std=1e-7)}
-    make_log(model, folder / "log.csv", lambda t, x: [2.0 * np.sin(6.0 * t)], step=1e-3, stop_time=0.8, sensors=sensors)
+    make_log(model, folder / "log.csv", lambda t, _: [2.0 * np.sin(6.0 * t)], step=1e-3, stop_time=0.8, sensors=sensors)
     log = columns(folder / "log.csv")
     savemat(folder / "made.mat", {"t": log["time"], "qm": log["position"], "vir": log["voltage"]})
     return folder / "made.mat"

@@ -155,7 +155,7 @@ def test_all_samples_together_tell_an_uncertain_parameter_that_acts_otherwise_th
     noise = dict.fromkeys(("angle", "current"), Sensor(noise_std=1e-4))
     true, load = {"flux": 1.3, "inductance": 0.01}, {"load": lambda t: 0.5 * np.sin(2.0 * t)}
     drive = {"step": 0.01, "stop_time": 6.0, "disturbances": load, "sensors": noise, "parameters": true}
-    truth = make_log(DRIVE, tmp_path / "log.csv", lambda t, x: [4.0 + 2.0 * np.sin(3.0 * t)], **drive)
+    truth = make_log(DRIVE, tmp_path / "log.csv", lambda t, _: [4.0 + 2.0 * np.sin(3.0 * t)], **drive)
     told = dict.fromkeys(("inertia_std", "friction_std", "inductance_std"), 0.0)
     told |= {"flux_std": 0.2, "inductance": 0.01, "angle_noise_std": 1e-4, "current_noise_std": 1e-4}
     estimate_log(DRIVE, tmp_path / "log.csv", tmp_path, start_values={**told, "disturbance_order": 2})

@@ -124,9 +124,16 @@ def rubbing():
     )
 
 
-def follow(t, x):
-    angle, rate = np.sin(2.1 * t) + 0.3 * np.sin(7.3 * t), 2.1 * np.cos(2.1 * t) + 2.19 * np.cos(7.3 * t)
-    return [1.0 * (angle - x[0]) + 0.05 * (rate - x[1])]
+class Follow:
+    """A controller that takes the rate from the last two samples of the angle."""
+
+    def __init__(self):
+        self.before = 0.0
+
+    def __call__(self, t, y):
+        angle, rate = np.sin(2.1 * t) + 0.3 * np.sin(7.3 * t), 2.1 * np.cos(2.1 * t) + 2.19 * np.cos(7.3 * t)
+        measured, self.before = (y[0] - self.before) / 5e-3, y[0]
+        return [1.0 * (angle - y[0]) + 0.05 * (rate - measured)]
 
 
 MODEL = drive(disturbance_map={"load": {"rate": "friction", "angle": "place"}})
@@ -139,7 +146,7 @@ def fitted(tmp_path_factory):
     make_log(
         rubbing(),
         folder / "log.csv",
-        follow,
+        Follow(),
         step=5e-3,
         stop_time=8.0,
         disturbances={"load": steps(size=0.05, pace=0.4, seed=2, stop_time=8.0)},
@@ -172,7 +179,7 @@ def test_a_map_is_0_in_the_mean_so_that_a_constant_load_stays_in_the_estimate(fi
 def test_a_map_that_is_told_stays_as_it_is(fitted, tmp_path):
     _, found = fitted
     told = {name: value for name, value in found.start_values.items() if name.startswith("load_map_")}
-    make_log(rubbing(), tmp_path / "log.csv", follow, step=5e-3, stop_time=2.5)
+    make_log(rubbing(), tmp_path / "log.csv", Follow(), step=5e-3, stop_time=2.5)
     again = fit_log(MODEL, tmp_path / "log.csv", tmp_path / "again", start_values=told)
     assert again.maps == {}
     assert {name: again.start_values[name] for name in told} == told

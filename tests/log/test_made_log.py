@@ -3,6 +3,7 @@
 import csv
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from ndob_fmu.log.made_log import Sensor, make_log, sines, steps, walk
 from ndob_fmu.log.servo_drive import servo_drive
 from ndob_fmu.model.model import Model
 from ndob_fmu.results.csv_files import read_csv
+from ndob_fmu.runtime.base_errors import IntegrationError
 
 MASS = Model(
     name="Mass",
@@ -38,7 +40,7 @@ def columns(path):
 def made(folder, name="log.csv", **changes):
     """Return the columns of a log of a mass under a force of 1, and its truth."""
     told = {"step": 0.01, "stop_time": 10.0} | changes
-    truth = make_log(MASS, folder / name, lambda t, x: [1.0], **told)
+    truth = make_log(MASS, folder / name, lambda t, _: [1.0], **told)
     return columns(folder / name), read_csv(truth)
 
 
@@ -141,7 +143,101 @@ def test_what_cannot_be_made_is_refused_in_one_line(tmp_path, changes, expected)
 
 def test_a_drive_with_another_number_of_inputs_is_refused(tmp_path):
     with pytest.raises(UsageError, match="drive: expected 1 inputs, received 2"):
-        make_log(MASS, tmp_path / "log.csv", lambda t, x: [1.0, 2.0], step=0.01, stop_time=1.0)
+        make_log(MASS, tmp_path / "log.csv", lambda t, _: [1.0, 2.0], step=0.01, stop_time=1.0)
+
+
+def test_a_controller_has_the_latest_samples_of_the_log(tmp_path):
+    had = []
+
+    def drive(t, y):
+        had.append(y)
+        return [1.0 - y[1] - y[0]]
+
+    sensors = {"place": Sensor(resolution=0.01, missing=0.3), "rate": Sensor(noise_std=0.05, every=3, outliers=0.1)}
+    make_log(MASS, tmp_path / "log.csv", drive, step=0.01, stop_time=10.0, sensors=sensors, seed=3)
+    log = columns(tmp_path / "log.csv")
+    assert np.mean(np.isnan(log["rate"])) > 0.6
+    for samples, name in zip(np.transpose(had), ("rate", "place"), strict=True):
+        held = np.maximum.accumulate(np.where(np.isnan(log[name]), 0, np.arange(1001)))
+        assert list(samples) == list(log[name][held])
+    assert list(log["push"]) == [1.0 - place - rate for rate, place in had]
+
+
+def test_a_controller_has_the_output_at_the_start_until_a_sample_comes(tmp_path):
+    had = []
+
+    def drive(t, y):
+        had.append(y)
+        return [1.0]
+
+    started = replace(MASS, x0=[5.0, 3.0])
+    make_log(started, tmp_path / "log.csv", drive, step=0.01, stop_time=0.1, sensors={"rate": Sensor(missing=1.0)})
+    assert {rate for rate, _ in had} == {3.0}
+    assert [place for _, place in had] == list(columns(tmp_path / "log.csv")["place"])
+
+
+def test_a_controller_has_the_samples_of_a_gap_in_which_only_the_logger_rests(tmp_path):
+    times = []
+
+    def drive(t, y):
+        times.append(t)
+        return [1.0]
+
+    make_log(MASS, tmp_path / "log.csv", drive, step=0.01, stop_time=1.0, gaps=[(0.2, 0.6)])
+    assert len(times) == 101
+    assert len(columns(tmp_path / "log.csv")["time"]) < 70
+
+
+def test_a_sample_with_feed_through_shows_the_input_until_its_row(tmp_path):
+    """As `estimate` takes it. A controller cannot change what it has measured."""
+    had = []
+
+    def drive(t, y):
+        had.append(y[0])
+        return [1.0 + y[0]]
+
+    battery = Model(
+        name="Battery", states=["charge"], inputs=["current"], disturbances=["leak"], x0=[3.0],
+        dynamics=lambda x, u, d, p: [d.leak], outputs={"voltage": lambda x, u, p: x.charge + 2 * u.current},
+    )  # fmt: skip
+    make_log(battery, tmp_path / "log.csv", drive, step=0.1, stop_time=0.5)
+    log = columns(tmp_path / "log.csv")
+    current, voltage = log["current"].tolist(), log["voltage"].tolist()
+    assert had == [3.0, *voltage[1:]]
+    assert current == [1.0 + y for y in had]
+    assert voltage == [3.0 + 2.0 * i for i in [current[0], *current[:-1]]]
+
+
+CYLINDER = Model(
+    name="Cylinder",
+    states=["place", "rate", "pressure_1", "pressure_2"],
+    inputs=["valve"],
+    outputs=["place", "pressure_1", "pressure_2"],
+    disturbances=["load"],
+    dynamics=lambda x, u, d, p: [
+        x.rate,
+        (8e-4 * (x.pressure_1 - x.pressure_2) - 60.0 * x.rate + d.load) / 5.0,
+        (2.5e-3 * u.valve * (7e5 - x.pressure_1) - 8e-4 * x.rate * x.pressure_1) / (2e-5 + 8e-4 * x.place),
+        (2.5e-3 * u.valve * (1e5 - x.pressure_2) + 8e-4 * x.rate * x.pressure_2) / (2e-5 + 8e-4 * (0.5 - x.place)),
+    ],
+    ranges={"place": (0.0, 0.5)},
+    x0=[0.25, 0.0, 7e5, 1e5],
+)
+
+
+def test_a_piston_without_an_end_stop_is_said_to_be_where_its_chamber_vanishes(tmp_path):
+    """The error told the time within a part of a step, "t = 0.0003 s", and no state."""
+    with pytest.raises(IntegrationError) as error:
+        make_log(CYLINDER, tmp_path / "log.csv", lambda t, _: [1.0], step=0.01, stop_time=1.0)
+    said = re.fullmatch(
+        r"plant at (\S+) s: its equations cannot be followed from place = (\S+), rate = .*; "
+        r"likely cause: place is (\S+), outside its range 0 to 0.5",
+        str(error.value),
+    )
+    assert float(said[1]) > 0.1
+    # Its dead volume ends at 0.525 m.
+    assert 0.5 < float(said[2]) == float(said[3]) <= 0.525
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_example_in_the_pages_makes_its_log(tmp_path, monkeypatch, capsys):
@@ -153,7 +249,7 @@ def test_the_example_in_the_pages_makes_its_log(tmp_path, monkeypatch, capsys):
 
 
 def of_drive(folder, torque):
-    truth = make_log(servo_drive(), folder / "log.csv", lambda t, x: [torque], step=0.01, stop_time=4.0)
+    truth = make_log(servo_drive(), folder / "log.csv", lambda t, _: [torque], step=0.01, stop_time=4.0)
     return read_csv(truth)
 
 

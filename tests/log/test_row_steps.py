@@ -69,8 +69,8 @@ def test_the_error_bar_of_a_parameter_is_that_of_near_parameters(tmp_path, width
     """Where a step took one more part for one of two values, a wrong slope made the bar a hundredth of itself."""
     model, stop = drive(width), 3.0
 
-    def follow(t, x):
-        return [0.9 * (3.0 * np.sin(2.0 * t) + np.sin(5.3 * t) - x[0]) - 0.05 * x[1]]
+    def follow(t, y):
+        return [0.9 * (3.0 * np.sin(2.0 * t) + np.sin(5.3 * t) - y[0]) - 0.05 * y[1]]
 
     path = tmp_path / "log.csv"
     make_log(
