@@ -39,7 +39,7 @@ def predictions(time_constant):
     model = lagged_motor(time_constant)
     eq, p = compile_model(model), model.parameter_values()
     xi_hat = np.array([*START, 0.5, 3.0])
-    layout = Layout(n=3, q=1, order=2, biased=(), uncertain=())
+    layout = Layout(n=3, q=1, order=2, own=(2,), biased=(), uncertain=())
 
     def steps():
         for _ in range(COUNT):

@@ -155,14 +155,17 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
             for name, one in told.items()
         )
 
-    kind = {1: "wanders", 2: "is smooth"}[found.order]
+    kinds = {name: {1: "wanders", 2: "is smooth"}[order] for name, order in found.orders.items()}
+    is_one = len(set(kinds.values())) == 1
+    kind = f"the disturbance {kinds.popitem()[1]}" if is_one else ", ".join(map(" ".join, kinds.items()))
+    own = "" if is_one else f"; disturbance_own_order {', '.join(f'{d} {r}' for d, r in found.orders.items())}"
     jumps = f" and jumps ({found.jumps} times in {found.rows} rows)" if found.is_jumping else ""
     held = found.held_out_values
     judged = ", ".join(f"order {order} {value:.4f}" for order, value in held.items() if value is not None)
     lines = [
         f"{found.rows} rows, along which the {found.build} observer ran",
         f"noise_std: {each(found.noise_std)}; {found.outliers} outliers",
-        f"the disturbance {kind}{jumps}: disturbance_order {found.order}; log-likelihood of a sample of the "
+        f"{kind}{jumps}: disturbance_order {found.order}{own}; log-likelihood of a sample of the "
         + (f"{found.held_out} held-out rows: {judged}" if judged else "rows; none was held out"),
         f"parameters: {each(found.parameters) or 'none fitted'}",
         f"± is two standard deviations; an entry <name>_std of {FIT} is one",

@@ -14,6 +14,8 @@ _TUNING = (
     *("disturbance_order", "adapt_noise", "estimate_parameters", "lag"),
 )
 _PER_DISTURBANCE = ("disturbance_bound", "disturbance_rate", "disturbance_nominal")
+# Of a model with several disturbances.
+OWN_ORDER = "disturbance_own_order"
 _PER_STATE = ("_hat", "_start", "_hat_start", "_hat_start_std")
 _PER_OUTPUT = ("_noise_std", "_delay", "_bias_std", "_residual", "_residual_std")
 _OF_DISTURBANCE = ("_hat", "_at_sample", "_std", "_lagged", "_lagged_std", "_total")
@@ -50,7 +52,7 @@ def reserved_names(
     """
     groups = ((states, _PER_STATE), (outputs, _PER_OUTPUT), (disturbances, _OF_DISTURBANCE), (parameters, ("_std",)))
     derived = [f"{name}{suffix}" for names, suffixes in groups for name in names for suffix in suffixes]
-    return [*derived, *_TUNING, *_PER_DISTURBANCE, "time", "valid", "consistency", "disturbance"]
+    return [*derived, *_TUNING, *_PER_DISTURBANCE, OWN_ORDER, "time", "valid", "consistency", "disturbance"]
 
 
 def for_each_disturbance(name: str, disturbances: tuple[str, ...]) -> dict[str, str]:
@@ -169,6 +171,7 @@ def _tuning(eq: Equations) -> list[Variable]:
             minimum=0,
             maximum=3,
         ),
+        *_own_orders(eq),
         *(
             parameter(f"{y}_{suffix}", value, text.format(y), unit=_unit(eq, y) if unit is None else unit, minimum=0.0)
             for suffix, values, text, unit in (
@@ -250,6 +253,24 @@ def _tuning(eq: Equations) -> list[Variable]:
             unit="s",
             minimum=0.0,
         ),
+    ]
+
+
+def _own_orders(eq: Equations) -> list[Variable]:
+    """Return the orders of several disturbances, of which one may jump or wander while another one is smooth."""
+    if len(eq.disturbances) == 1:
+        return []
+    return [
+        parameter(
+            own,
+            0,
+            f"Method 2: r of {d} where it is lower than disturbance_order, for which its disturbance_rate is told; "
+            "0: the same",
+            type="Integer",
+            minimum=0,
+            maximum=3,
+        )
+        for d, own in for_each_disturbance(OWN_ORDER, eq.disturbances).items()
     ]
 
 

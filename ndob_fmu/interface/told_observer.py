@@ -37,6 +37,7 @@ def told_observer(equations: Equations, value: Value, warn: Warn) -> SampledObse
         plant,
         **sensors,
         order=order,
+        own_order=_own_order(equations, plant, value),
         disturbance_bound=lumped_bound(equations, bound),
         disturbance_nominal=lumped_nominal(equations, for_disturbances(equations, value, "disturbance_nominal")),
         disturbance_rate=lumped_rate(equations, bound, rate, order=order),
@@ -49,6 +50,13 @@ def told_observer(equations: Equations, value: Value, warn: Warn) -> SampledObse
         pi=value("pi_end"),
     )
     return sampled_observer(plant, parameters, settings, x_hat)
+
+
+def _own_order(equations: Equations, plant: Equations, value: Value) -> list[int]:
+    """Return the order of each disturbance that the observer estimates; 0: as `disturbance_order`."""
+    if len(equations.disturbances) == 1:
+        return [0] * len(plant.disturbance_bound)
+    return [int(one) for one in for_disturbances(equations, value, "disturbance_own_order")]
 
 
 def for_disturbances(equations: Equations, value: Value, name: str) -> list[float]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
-from ndob_fmu.interface.model_variables import for_each_disturbance, observer_variables
+from ndob_fmu.interface.model_variables import OWN_ORDER, for_each_disturbance, observer_variables
 from ndob_fmu.interface.variables import Variable
 from ndob_fmu.model.model import Model
 from ndob_fmu.native import paper
@@ -155,6 +155,7 @@ def _sizes(model: Model, eq: Equations) -> str:
             *(f"#define {name} {value}" for name, value in sizes.items()),
             f"static const double bounds_of_states[][2] = {{{bounds}}};",
             f"static const double noise_of_states[] = {{{', '.join(map(number, eq.state_noise))}}};",
+            *(["static const double no_own_order[LUMPED] = {0.0};"] if len(eq.disturbances) == 1 else []),
             f"static const char *const fmu_parameter_names[] = {{{names}}};",
             "",
         ]
@@ -172,6 +173,8 @@ def _first_places(eq: Equations, variables: Sequence[Variable]) -> str:
         **{f"AT_{suffix.upper()}": f"{eq.outputs[0]}_{suffix}" for suffix in ("noise_std", "delay", "bias_std")},
         **{place: of_d[name] for place, name in _PER_DISTURBANCE.items()},
     }
+    if len(eq.disturbances) > 1:
+        first["AT_OWN_ORDER"] = for_each_disturbance(OWN_ORDER, eq.disturbances)[d]
     if eq.parameters:
         name = next(iter(eq.parameters))
         first |= {"AT_PARAMETERS": name, "AT_PARAMETER_STD": f"{name}_std"}

@@ -47,4 +47,18 @@ BALL = Model(
     xhat0_std=[1e-3, 1e-2],
 )
 
+# A trolley, which an encoder measures, and a load that hangs on a rope, which a camera sees.
+TROLLEY = Model(
+    name="Trolley",
+    states=["speed", "sway", "sway_rate"],
+    inputs=["force"],
+    outputs=["speed", "sway"],
+    disturbances=["rail", "wind"],
+    dynamics=lambda x, u, d, p: [u.force + d.rail - 0.5 * x.speed, x.sway_rate, d.wind - 1.2 * x.sway],
+    parameters={},
+    noise_std={"speed": 1e-3, "sway": 0.1},
+    disturbance_bound={"rail": 1.0, "wind": 1.0},
+    x0={},
+)
+
 GENERAL: dict[str, Model] = {model.name: model for model in (ARM, CART, BALL)}

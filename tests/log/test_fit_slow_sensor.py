@@ -6,21 +6,8 @@ import pytest
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.log.estimate_log import estimate_log
 from ndob_fmu.log.fit.fit_log import fit_log
-from ndob_fmu.model.model import Model
+from tests.helpers.general_plants import TROLLEY
 
-# A trolley, which an encoder measures, and a load that hangs on a rope, which a camera sees.
-TROLLEY = Model(
-    name="Trolley",
-    states=["speed", "sway", "sway_rate"],
-    inputs=["force"],
-    outputs=["speed", "sway"],
-    disturbances=["rail", "wind"],
-    dynamics=lambda x, u, d, p: [u.force + d.rail - 0.5 * x.speed, x.sway_rate, d.wind - 1.2 * x.sway],
-    parameters={},
-    noise_std={"speed": 1e-3, "sway": 0.1},
-    disturbance_bound={"rail": 1.0, "wind": 1.0},
-    x0={},
-)
 EQUATIONS = compile_model(TROLLEY)
 
 

@@ -175,6 +175,7 @@ RUNS = [
     partial(_sampled, JOINT, order=2, lag=0.02, delay=[0.0, 3e-3], bias_std=[1e-3, 0.0], noise_std=[1e-5, 2e-5]),
     partial(_sampled, JOINT, order=1, parameter_std=[0.1] * len(JOINT.parameters), noise_std=[1e-5, 2e-5]),
     partial(_sampled, CART, order=1),
+    partial(_sampled, JOINT, order=2, own_order=(1,), noise_std=[1e-5, 2e-5]),
     # The gain is frozen between the faults.
     partial(_sampled, JOINT, order=1, noise_std=[1e-5, 2e-5], adapt_noise=False),
     partial(_sampled, STIFF, order=1, steps=10),

@@ -18,12 +18,12 @@ from ndob_fmu.runtime.blocks.plant import Plant
 from ndob_fmu.runtime.design.ranges import continued
 from ndob_fmu.runtime.step.sampled_observer import sampled_observer
 from ndob_fmu.runtime.step.settings import observer_settings
-from tests.helpers.general_plants import BALL, CART
+from tests.helpers.general_plants import BALL, CART, TROLLEY
 from tests.helpers.problems import MODELS
 from tests.helpers.translated import FLAGS, compiler
 
 JOINT = MODELS["flexible_joint"]
-MODELS_HERE = {model.name: model for model in (JOINT, CART, BALL)}
+MODELS_HERE = {model.name: model for model in (JOINT, CART, BALL, TROLLEY)}
 H = 1e-3
 MEMORY = 1 << 24
 
@@ -42,11 +42,11 @@ int begin(void *block, size_t bytes, const double *given, const int *sizes, int 
     ObserverSettings *s = &observer.settings;
     nd *const fields[] = {&observer.parameters, &s->sensors.noise_std, &s->sensors.delay, &s->sensors.bias_std,
         &s->disturbance_bound, &s->disturbance_nominal, &s->disturbance_rate, &s->x_std, &s->parameter_std,
-        &s->state_noise, &s->estimated};
+        &s->state_noise, &s->estimated, &s->own_order};
     memset(&observer, 0, sizeof observer);
     sampled_memory(&observer, block, bytes);
     set_equations(&observer.equations, &observer.lasting);
-    for (int i = 0; i < 11; given += sizes[i], i++) *fields[i] = nd_view_of(&observer.lasting, sizes[i], given);
+    for (int i = 0; i < 12; given += sizes[i], i++) *fields[i] = nd_view_of(&observer.lasting, sizes[i], given);
     s->order = order, s->adapt_noise = adapts != 0;
     s->lag = *given++, s->alpha = *given++, s->pi = *given++;
     nd_array x_hat = nd_around(observer.equations.states.n, given);
@@ -109,9 +109,10 @@ class Native:
         s, sensors = settings, settings.sensors
         fields = [model.parameter_values(), sensors.noise_std, sensors.delay, sensors.bias_std, s.disturbance_bound]
         fields += [s.disturbance_nominal, s.disturbance_rate, s.x_std, s.parameter_std, s.state_noise, s.estimated]
+        fields += [s.own_order]
         numbers = [float(v) for field in [*fields, [s.lag, s.alpha, s.pi], x_hat] for v in field]
         self.given = (ctypes.c_double * len(numbers))(*numbers)
-        sizes = (ctypes.c_int * 11)(*map(len, fields))
+        sizes = (ctypes.c_int * 12)(*map(len, fields))
         self.error(
             self.library.begin(self.block, ctypes.c_size_t(MEMORY), self.given, sizes, s.order, int(s.adapt_noise))
         )
@@ -137,6 +138,7 @@ CASES = {
     **{f"order {order}": ("FlexibleJoint", {"order": order}) for order in (0, 1, 2, 3)},
     "delays, an offset, a lag": ("FlexibleJoint", {"delay": [0.0, 3e-3], "bias_std": [1e-3, 0.0], "lag": 0.02}),
     "uncertain parameters": ("FlexibleJoint", {"parameter_std": [0.1] * 3}),
+    "disturbances of two orders": ("Trolley", {"order": 2, "own_order": (0, 1)}),
     "a plant without the paper's form": ("Cart", {}),
     "a plant whose estimate leaves its ranges": ("Ball", {}),
 }

@@ -435,7 +435,7 @@ def test_the_prediction_of_a_stiff_plant_agrees_with_radau(order):
     eq, counts = counted(motor_with_lag())
     series = [0.8, -3.0, 40.0][:order]
     xi_hat = np.array([0.3, -0.2, 0.7, *series])
-    layout = Layout(n=3, q=1, order=order, biased=(), uncertain=())
+    layout = Layout(n=3, q=1, order=order, own=(order,), biased=(), uncertain=())
     found = predict_plant(eq, layout, (1e6,), xi_hat, (2.0,), H, None if order else np.array([0.8]))
     assert counts["derivatives"] <= 6 * 30 + 100
     d = series or [0.8]

@@ -12,10 +12,11 @@ import numpy as np
 
 from ndob_fmu.codegen.compile_model import compile_model
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
-from ndob_fmu.log.fit.fit_parameters import ORDERS, SURE, as_told, with_parameters
+from ndob_fmu.log.fit.fit_parameters import as_told, with_parameters
 from ndob_fmu.log.fit.followed import said_of_residuals
 from ndob_fmu.log.fit.map_step import LearnedMap, MapStep, learn_maps
 from ndob_fmu.log.fit.offsets import as_start_values
+from ndob_fmu.log.fit.orders import best_order, in_pieces, of_each_order, with_own_orders
 from ndob_fmu.log.fit.pace import rates_for
 from ndob_fmu.log.fit.parameter_step import most_likely
 from ndob_fmu.log.fit.setup import Run, Setup
@@ -34,8 +35,6 @@ _BEYOND, _FAR_BEYOND = 1.2, 2.0
 # A jump that is too small to be noticed at once must be followed, too. Of the mean rate of all jumps: where few are so
 # small, and where an observer that follows most of them errs less than one that waits until it is sure of them.
 _OF_JUMPS, _MOST_OF_JUMPS = 0.3, 10.0
-# By what factor pieces become longer, and how many are left at least.
-_LONGER, _FEWEST = 4, 4
 
 
 @dataclass(frozen=True)
@@ -44,14 +43,16 @@ class Fitted:
 
     build: of the observer that ran along it, as in `Estimated`
     rows, held_out: how many rows there are, and how many of them were held out until the order was chosen
-    order: of the disturbance; with 1 it wanders, with 2 it is smooth
+    order: the highest one of a disturbance
+    orders: of each disturbance; with 1 it wanders, with 2 it is smooth
     is_jumping: whether a disturbance that jumps explains the log better than one that does not
     jumps, outliers: in all rows
     noise_std: of each output
     intensity: of the white noise behind the order-th derivative of each disturbance
     parameters: those that were fitted and that the log tells
     maps: what was learned of the maps of the disturbances
-    held_out_values: log-likelihood of a held-out sample for each order; None where no row is held out
+    held_out_values: log-likelihood of a held-out sample for each order of all disturbances; None where no row is held
+        out
     warnings: what in the log does not look like the model's signals, and what the log does not tell
     start_values: for fit.json
     """
@@ -60,6 +61,7 @@ class Fitted:
     rows: int
     held_out: int
     order: int
+    orders: Mapping[str, int]
     is_jumping: bool
     jumps: int
     outliers: int
@@ -111,15 +113,16 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
     warnings = list(run.warnings)
     if not run.is_whole:
         warnings.append(f"the first {run.rows} rows of the log are fitted, the others are not read")
-    setup, fits = _in_pieces(setup, run)
-    best = _best(fits)
+    setup, fits = in_pieces(setup.with_one_order, run)
+    best = best_order(fits)
     at_first, raised = setup, _raised_bounds(setup, best)
     if any(value > _FAR_BEYOND * setup.values[name] for name, value in raised.items()):
         # Jumps were searched for with a wrong size.
         setup = setup.with_values(raised)
-        fits = _of_each_order(replace(setup, free=()), run)
-        best = _best(fits)
+        fits = of_each_order(setup, run)
+        best = best_order(fits)
         raised |= _raised_bounds(setup, best)
+    setup, best = with_own_orders(setup, run, best)
     setup, held_out = setup.with_values(raised), run.rows - best.problem.trained
     if held_out:
         setup, best = _with_all_rows(setup, run, best)
@@ -138,6 +141,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         **raised,
         **{f"{name}_noise_std": told.value for name, told in noise_std.items()},
         "disturbance_order": best.order,
+        **setup.own_orders,
         **as_start_values(setup.equations, parameters),
         **maps.values,
     }
@@ -149,6 +153,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         rows=run.rows,
         held_out=held_out,
         order=best.order,
+        orders=dict(zip(setup.equations.disturbances, best.problem.layout.own, strict=True)),
         is_jumping=best.is_jumping,
         jumps=len(best.noise.events.jumps),
         outliers=len(best.noise.events.outliers),
@@ -163,31 +168,6 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         warnings=tuple(warnings),
         start_values={**found, **setup.named("disturbance_rate", rates)},
     )
-
-
-def _in_pieces(setup: Setup, run: Run) -> tuple[Setup, dict[int, ClassFit]]:
-    """Return the fits of each order, and the setup with pieces that are long enough to tell the pace.
-
-    What wanders slowly beside the noise of its sensor, or of a sensor that is read seldom, is a line in a short piece.
-    Values of fits are compared, so that all have the same pieces.
-    """
-    fits = _of_each_order(replace(setup, free=()), run)
-    while not all(fit.tells_pace for fit in fits.values()):
-        longer = min(_LONGER * setup.piece, fits[ORDERS[0]].problem.trained // _FEWEST)
-        if longer <= setup.piece:
-            break
-        setup = replace(setup, piece=longer)
-        fits = _of_each_order(replace(setup, free=()), run)
-    return setup, fits
-
-
-def _of_each_order(setup: Setup, run: Run) -> dict[int, ClassFit]:
-    fits = {}
-    for order in ORDERS:
-        begin(f"fitting, part {1 + order} of 5: noise, pace and jumps with disturbance_order {order}")
-        problem = setup.problem(run, order)
-        fits[order] = fit_class(problem, setup.trajectory(run, problem), most_likely)
-    return fits
 
 
 def _with_all_rows(setup: Setup, run: Run, known: ClassFit) -> tuple[Setup, ClassFit]:
@@ -235,16 +215,6 @@ def _rates(setup: Setup, best: ClassFit, found: Mapping[str, Any], pace: Array, 
         return Followed(said.d_at_sample[first:], said.d_std[first:])
 
     return best_followed(lowest, highest, follow, smoothed)
-
-
-def _best(fits: Mapping[int, ClassFit]) -> ClassFit:
-    """Return the class that explains held-out and fitted rows best; the lower order where chance decides."""
-    ranked = sorted(fits)
-    best = fits[ranked[0]]
-    for order in ranked[1:]:
-        if fits[order].judged > best.judged + SURE and fits[order].noise.value > best.noise.value:
-            best = fits[order]
-    return best
 
 
 def _raised_bounds(setup: Setup, best: ClassFit) -> dict[str, float]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ndob_fmu.log.fit.class_fit import ClassFit, fit_class
+from ndob_fmu.log.fit.orders import ORDERS, SURE
 from ndob_fmu.log.fit.parameter_step import least_disturbance, least_near, most_likely
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.fit.setup import Run, Setup
@@ -15,10 +16,6 @@ from ndob_fmu.log.told import Told
 from ndob_fmu.runtime.equations import HIGHEST_ORDER
 from ndob_fmu.support.progress import begin
 
-# Orders of the disturbance that an observer is proposed for.
-ORDERS = (1, 2)
-# A gain of the log-likelihood that is worth another order.
-SURE = 2.0
 # A parameter whose standard deviation the log does not lower by this factor is not told by it.
 _NOT_TOLD = 0.5
 # Fitted parameters that leave a disturbance larger by this factor stand for something else that the model lacks: on

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.errors import UsageError, nearest, one_of
-from ndob_fmu.interface.model_variables import for_each_disturbance
+from ndob_fmu.interface.model_variables import OWN_ORDER, for_each_disturbance
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer
 from ndob_fmu.log.first_block import ObserverRun, first_block, run_along
 from ndob_fmu.log.fit.offsets import check_offsets, offset_names, open_offsets
@@ -171,10 +171,21 @@ class Setup:
         """Return what an observer with changed values is tuned to at a step H (s)."""
         return self._observer({**self.values, **changes}).tuned(H)
 
-    def named(self, name: str, of_disturbances: Array) -> dict[str, float]:
+    def named(self, name: str, of_disturbances: Iterable[float]) -> dict[str, float]:
         """Return the observer's parameters `name` of each disturbance with their values (q2,)."""
         names = for_each_disturbance(name, self.equations.disturbances).values()
         return dict(zip(names, map(float, of_disturbances), strict=True))
+
+    @property
+    def own_orders(self) -> dict[str, int]:
+        """The orders of single disturbances of several, which have a parameter of their own; 0: as all."""
+        names = for_each_disturbance(OWN_ORDER, self.equations.disturbances).values()
+        return {name: int(self.values[name]) for name in names if name in self.values}
+
+    @property
+    def with_one_order(self) -> Setup:
+        """The same with one order for all disturbances."""
+        return self.with_values(dict.fromkeys(self.own_orders, 0))
 
     def of_disturbances(self, name: str) -> Array:
         """Return the parameter `name` of each disturbance (q2,)."""

@@ -62,6 +62,7 @@ def in_layout(trajectory: Array, old: Layout, new: Layout) -> Array:
         if output in old.biased:
             xi[:, new.biases.start + place] = trajectory[:, old.biases.start + old.biased.index(output)]
     xi[:, new.parameters] = trajectory[:, old.parameters]
+    xi[:, new.series] *= new.carried
     return xi
 
 

@@ -1,7 +1,8 @@
 /* `<Name>Observer`: the disturbance observer, one step for each doStep.
  *
  * The build defines STATES, INPUTS, OUTPUTS, DISTURBANCES, PARAMETERS, FEEDTHROUGH, NUMBERS, IN_PAST, SIGNATURES,
- * LAGGED, MEMORY_OF_A_NUMBER, `bounds_of_states`, `noise_of_states`, and the places of the variables.
+ * LAGGED, MEMORY_OF_A_NUMBER, `bounds_of_states`, `noise_of_states`, for one disturbance `no_own_order`, and the places
+ * of the variables.
  *
  * The memory to compute in is taken when the settings are known, which tell how much is needed. */
 #include "fmu.h"
@@ -211,6 +212,11 @@ static void take_settings(const Call *call, Core *core) {
     set_equations(&self->equations, &self->lasting);
     self->parameters = lasting(call, memory, AT_PARAMETERS, PARAMETERS);
     settings->order = (int)call->values[AT_disturbance_order];
+#if DISTURBANCES > 1
+    settings->own_order = lasting(call, memory, AT_OWN_ORDER, DISTURBANCES);
+#else
+    settings->own_order = nd_view_of(memory, LUMPED, no_own_order);
+#endif
     settings->sensors.noise_std = lasting(call, memory, AT_NOISE_STD, OUTPUTS);
     settings->sensors.delay = lasting(call, memory, AT_DELAY, OUTPUTS);
     settings->sensors.bias_std = lasting(call, memory, AT_BIAS_STD, OUTPUTS);

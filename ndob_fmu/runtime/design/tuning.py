@@ -193,6 +193,16 @@ def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge
     return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
 
 
+def each_bandwidth(system: Augmented, H: float, intensities: Array, known: Knowledge) -> Array:
+    """Return the bandwidth (q2,) that the intensity of each disturbance asks for, as `bandwidth_of`; for r ≥ 1."""
+    found = np.full(len(intensities), bandwidth_of(system, H, float(intensities[0]), known))
+    for j in range(1, len(found)):
+        degree, gain = first_response(system, known.R_factor, system.linear.G_d[:, j])
+        if degree:
+            found[j] = (intensities[j] * gain**2 / H) ** (0.5 / (system.order + degree))
+    return found
+
+
 def f_intensities(system: Augmented, H: float, bandwidth: float, known: Knowledge) -> Array:
     """Return the intensities (q_f,) on the channels of f where they are apart from the disturbance's.
 

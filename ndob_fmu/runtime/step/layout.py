@@ -21,6 +21,7 @@ class Layout:
     """The places in ξ, N = n + r q + biases + parameters.
 
     n, q, order: of states, disturbances, and r
+    own (q2,): the order r_j ≤ r of each disturbance; its derivatives from the r_j-th on are 0
     biased: indices of outputs with an offset
     uncertain: indices of uncertain parameters
     """
@@ -28,6 +29,7 @@ class Layout:
     n: int
     q: int
     order: int
+    own: tuple[int, ...]
     biased: tuple[int, ...]
     uncertain: tuple[int, ...]
 
@@ -61,16 +63,32 @@ class Layout:
         """Return the constant part of F (N,N): δ_i' = δ_{i+1}."""
         F = np.zeros((self.size, self.size))
         for i in range(self.order - 1):
-            row, column = self.n + i * self.q, self.n + (i + 1) * self.q
-            F[row : row + self.q, column : column + self.q] = np.eye(self.q)
+            for j in range(self.q):
+                if self.own[j] > i + 1:
+                    F[self.n + i * self.q + j, self.n + (i + 1) * self.q + j] = 1.0
         return F
 
     @cached_property
     def last_derivative(self) -> Array:
-        """Return the channel (N,q) of what drives δ_r."""
+        """Return the channel (N,q) of what drives δ_r, of each disturbance with its own r."""
         channel = np.zeros((self.size, self.q))
-        channel[self.series.stop - self.q : self.series.stop] = np.eye(self.q)
+        for j in range(self.q):
+            channel[self.n + (self.own[j] - 1) * self.q + j, j] = 1.0
         return channel
+
+    @cached_property
+    def carried(self) -> Array:
+        """Return 1 for each of δ₁ … δ_r (r q,) that its disturbance has, 0 for one that stays 0."""
+        mask = np.zeros(self.order * self.q)
+        for i in range(self.order):
+            for j in range(self.q):
+                mask[i * self.q + j] = 1.0 if self.own[j] > i else 0.0
+        return mask
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether the disturbances have different orders."""
+        return min(self.own) < self.order
 
     def packed(self, xi: Array) -> tuple[float, ...]:
         """Return ξ (N,) in the form of the generated step: with zeros for the derivatives of d beyond the order r."""

@@ -102,6 +102,7 @@ def prepared(equations: Equations, parameters: Vector, settings: ObserverSetting
             n=len(linear.A),
             q=linear.G_d.shape[1],
             order=order,
+            own=tuple(min(int(own) or order, order) for own in settings.own_order),
             biased=tuple(i for i, s in enumerate(settings.sensors.bias_std) if s > 0.0),
             uncertain=uncertain,
         ),

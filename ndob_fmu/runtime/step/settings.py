@@ -30,6 +30,7 @@ class ObserverSettings:
     """The settings of `sampled_observer`.
 
     order: r = 0 … 3
+    own_order (q2,): r of each disturbance where it is lower; 0: r
     sensors: as above
     disturbance_bound (q2,): D₀ > 0, the bound of |d − nominal|
     disturbance_nominal (q2,): value about which d is small
@@ -44,6 +45,7 @@ class ObserverSettings:
     """
 
     order: int
+    own_order: Vector
     sensors: Sensors
     disturbance_bound: Vector
     disturbance_nominal: Vector
@@ -70,6 +72,7 @@ def observer_settings(
     eq, tuning = equations, equations.observer
     defaults = ObserverSettings(
         order=tuning.disturbance_order,
+        own_order=(0,) * len(eq.disturbance_bound),
         sensors=Sensors(
             noise_std=eq.noise_std if noise_std is None else noise_std,
             delay=eq.delay if delay is None else delay,

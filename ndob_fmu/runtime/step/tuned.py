@@ -14,7 +14,7 @@ from ndob_fmu.runtime.design.intensity_law import IntensityLaw
 from ndob_fmu.runtime.design.start_up import start_up
 from ndob_fmu.runtime.design.stationary_design import Intensities
 from ndob_fmu.runtime.design.step_designs import StepDesign, StepDesigns
-from ndob_fmu.runtime.design.tuning import Search, bandwidth_of, squared_errors
+from ndob_fmu.runtime.design.tuning import Search, each_bandwidth, squared_errors
 from ndob_fmu.runtime.generated_steps import Numbers
 from ndob_fmu.runtime.step.adaptive_noise import LEAST_RATIO, for_a_frozen_gain, is_settled, weight_of
 from ndob_fmu.runtime.step.converged_step import STEADY, frozen_memory, has_converged, is_near, is_quiet, least_squares
@@ -36,6 +36,7 @@ class Tuned:
     model: its constants
     intensities: of the noise at H
     law: of the intensities for other steps and noises
+    to_own_order (q2,): factors on the intensities where disturbances have orders of their own
     freezes: whether a frozen gain is as good as the running covariance
     """
 
@@ -43,11 +44,12 @@ class Tuned:
     model: FilterModel
     intensities: Intensities
     law: IntensityLaw | None
+    to_own_order: Array
     freezes: bool
 
     def intensity(self, H: float, noise: Sequence[float]) -> Array:
-        """Return the intensity (q2,) behind the r-th derivative of d at a step H (s), for factors (p,) on σ²."""
-        at_tuned = self.intensities.disturbance * self.intensities.scale**2
+        """Return the intensity (q2,) behind each d's r-th derivative at a step H (s), for factors (p,) on σ²."""
+        at_tuned = self.intensities.disturbance * self.intensities.scale**2 * self.to_own_order
         if self.law is None or (self.H == H and all(ratio == 1.0 for ratio in noise)):
             return np.asarray(at_tuned)
         return self.law.scaled(at_tuned, self.H, H, noise)
@@ -58,7 +60,12 @@ def tune(observer: PreparedObserver, H: float) -> Tuned:
     if observer.layout.order == 0:
         intensities = observer.designs.intensities(H)
         return Tuned(
-            H, filter_model(observer, intensities.scale, 0.0), intensities, None, freezes=_may_freeze(observer)
+            H,
+            filter_model(observer, intensities.scale, 0.0),
+            intensities,
+            None,
+            np.ones(observer.layout.q),
+            freezes=_may_freeze(observer),
         )
     slopes, may_freeze = _judged(observer.tracking, H), _may_freeze(observer) and _f_is_slow(observer, H)
     f_as_noise = _judged(observer.designs, H) if slopes is None or may_freeze else None
@@ -82,8 +89,11 @@ def tuned_to(
     observer: PreparedObserver, H: float, intensities: Intensities, law: IntensityLaw, *, freezes: bool
 ) -> Tuned:
     """Return what is tuned for steps about H (s) where the intensities and their law are known; for r ≥ 1."""
-    bandwidth = bandwidth_of(observer.tracking.system, H, float(intensities.disturbance[0]), observer.known)
-    return Tuned(H, filter_model(observer, intensities.scale, 0.25 / bandwidth), intensities, law, freezes=freezes)
+    bandwidths = each_bandwidth(observer.tracking.system, H, intensities.disturbance, observer.known)
+    # White noise behind fewer derivatives has the same spectrum at the disturbance's bandwidth.
+    fewer = np.array([observer.layout.order - own for own in observer.layout.own], dtype=float)
+    model = filter_model(observer, intensities.scale, 0.25 / float(bandwidths[0]))
+    return Tuned(H, model, intensities, law, bandwidths ** (-2.0 * fewer), freezes=freezes)
 
 
 class _Judged(NamedTuple):
@@ -121,6 +131,7 @@ def _may_freeze(observer: PreparedObserver) -> bool:
         or any(settings.sensors.delay)
         or any(settings.state_noise)
         or any(observer.undriven)
+        or layout.is_mixed
     )
     # Outside the paper's form no constant matrices hold wherever the plant is.
     return plain and settings.lag == 0.0 and observer.equations.matrices is not None
@@ -139,7 +150,7 @@ def filter_model(observer: PreparedObserver, scale: float, jump_spacing: float) 
         scale=scale,
         start_std=np.concatenate(
             [
-                np.diag(start.factor),
+                np.diag(start.factor) * np.concatenate([np.ones(observer.layout.n), observer.layout.carried]),
                 [settings.sensors.bias_std[i] for i in observer.layout.biased],
                 [settings.parameter_std[i] for i in observer.layout.uncertain],
             ]
