@@ -19,6 +19,7 @@ from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, NoiseLikelihood, fit_noise, is_jumping
 from ndob_fmu.log.fit.parameter_step import Step
 from ndob_fmu.log.fit.problem import Linearised, Problem
+from ndob_fmu.log.fit.rare import are_usual, usual_std
 from ndob_fmu.log.smooth.along import in_layout
 from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, with_events
@@ -49,8 +50,6 @@ _LIVELY = (1e8, 1e5, 1e3, 10.0, 1.0)
 _SMALL, _BESIDE = 0.25, 2
 # Within so many rows a disturbance is hardly told.
 _CLOSE = 10
-# A normal number is as often within the median of its size as beyond it, and that is its standard deviation over this.
-_STD_OF_MEDIAN = 1.4826
 
 ParameterStep = Callable[[Problem, Array, Array, NoiseFit], Step]
 
@@ -157,6 +156,14 @@ class ClassFit:
     def disturbance_rms(self) -> float:
         """Of the smoothed disturbances."""
         return _rms(self.problem, self.trajectory, self.events)
+
+    @property
+    def usual_rms(self) -> float:
+        """Of the smoothed disturbances where they are not rare and large, as pulses."""
+        d = self.disturbance / self.problem.rows.model.bound
+        usual = are_usual(d)
+        squares = (np.where(usual, d, 0.0) ** 2).sum(axis=0) / np.maximum(usual.sum(axis=0), 1)
+        return float(np.sqrt(squares.mean()) * self.problem.rows.model.bound[0])
 
     @property
     def jumping_rate(self) -> Array:
@@ -302,7 +309,7 @@ def _wanders(disturbance: Array, first: int, jumps: Sequence[int]) -> Array:
     """
     parts = np.split(disturbance[first:], [k - first for k in jumps if k > first])
     about_means = np.concatenate([part - part.mean(axis=0) for part in parts if len(part)])
-    return np.asarray(_STD_OF_MEDIAN * np.median(np.abs(about_means), axis=0))
+    return usual_std(about_means)
 
 
 def _disturbance(problem: Problem, trajectory: Array) -> Array:

@@ -86,11 +86,7 @@ def _in_class(setup: Setup, run: Run, known: ClassFit) -> _Found:
     while setup.free:
         problem = setup.problem(run, known.order)
         fit = _least(problem, known) if lacks_more else _most_likely(problem, known)
-        if not lacks_more and _leaves_more(setup, run, fit, known):
-            more = (
-                f"more likely values leave a disturbance of {fit.disturbance_rms:.3g} RMS, those told "
-                f"{known.disturbance_rms:.3g}"
-            )
+        if not lacks_more and (more := _leaves_more(setup, run, fit, known)):
             least = _least(problem, known)
             if _is_contradicted(least, known):
                 name = setup.free[int(np.argmax(np.diag(fit.covariance) / problem.parameter_std**2))]
@@ -139,15 +135,28 @@ def _is_contradicted(fit: ClassFit, known: ClassFit) -> bool:
     return fit.noise.value < known.noise.value - _CONTRADICTED
 
 
-def _leaves_more(setup: Setup, run: Run, fit: ClassFit, known: ClassFit) -> bool:
-    """Return whether all parameters near the most likely ones leave a larger disturbance than those told."""
-    most = _LARGER * known.disturbance_rms
-    if not any(_told(fit)) or fit.disturbance_rms <= most:
-        return False
+def _leaves_more(setup: Setup, run: Run, fit: ClassFit, known: ClassFit) -> str:
+    """Return by how much larger a disturbance all parameters near the most likely ones leave than those told, in words.
+
+    "" where they do not.
+    """
+    if not any(_told(fit)) or not _larger(fit, known):
+        return ""
     near = least_near(fit.problem, fit.trajectory, fit.parameters, fit.noise, fit.covariance)
     told = dict(zip(setup.free, near.tolist(), strict=True))
     problem = replace(setup.with_values(told), free=()).problem(run, known.order)
-    return fit_class(problem, fit.in_layout_of(problem), most_likely, start=fit).disturbance_rms > most
+    return _larger(fit_class(problem, fit.in_layout_of(problem), most_likely, start=fit), known) and _larger(fit, known)
+
+
+def _larger(fit: ClassFit, known: ClassFit) -> str:
+    """Return by how much larger the disturbance of a fit is than that of another, in words; "" where it is not."""
+    for more, less, where in (
+        (fit.disturbance_rms, known.disturbance_rms, ""),
+        (fit.usual_rms, known.usual_rms, " outside of pulses"),
+    ):
+        if more > _LARGER * less:
+            return f"more likely values leave a disturbance of {more:.3g} RMS{where}, those told {less:.3g}"
+    return ""
 
 
 def _stays(setup: Setup, name: str) -> str:

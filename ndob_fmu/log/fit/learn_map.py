@@ -4,7 +4,7 @@
 
 The line passes through a free level in the middle of each block of the log: what changes slowly by itself, as a real
 disturbance does, is not taken for a map. The coefficients leave the least Σ w_k r_k² + λ Σ (c_j · RMS of φ_j)², where
-Huber's weights w hold what comes rarely and is large, as a pulse does, to be no map either.
+w = 0 holds what comes rarely and is large, as a pulse does, to be no map either.
 
 Each block is left out in turn, and predicted from the others, its level by a line between its neighbours. Only parts of
 a map that lower what remains there are kept; so is λ chosen. A map that stands for the time, because each state comes
@@ -19,15 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu.log.fit.rare import weights_of_usual
 from ndob_fmu.runtime.arrays import Array
 
 _BLOCKS = 10
 _PENALTIES = (1e-6, 1e-4, 1e-2, 0.1, 1.0)
-# Huber's weights: of what is farther than so many standard deviations. They are found from those of nearly the least
-# absolute deviations, because the least squares may spread a pulse over all rows; in so many rounds each.
-_FAR, _NEAR, _ROUNDS = 2.5, 0.05, 10
-# A normal number is as often within the median of its size as beyond it, and that is its standard deviation over this.
-_STD_OF_MEDIAN = 1.4826
 # A part is kept where the mean square in blocks that were left out falls by so many of its standard errors, and by this
 # share of it.
 _SURE, _WORTH = 2.5, 0.05
@@ -39,7 +35,8 @@ class Learned:
 
     parts: indices of those that are kept
     coefficients (n_φ,): of all functions; 0 of those that are left out
-    before, after: root mean squares of what remains in blocks that were left out, without and with the map
+    before, after: root mean squares of what remains in blocks that were left out, without and with the map, but for
+        pulses
     as_well: pairs of a part that is kept and of one that is not and lowers what remains as much
     """
 
@@ -56,13 +53,16 @@ def learn(parts: Sequence[Array], d: Array) -> Learned:
     groups = np.split(np.arange(columns.shape[1]), np.cumsum([part.shape[1] for part in parts])[:-1])
     knots = (np.arange(_BLOCKS) + 0.5) * len(d) / _BLOCKS
     whole = np.concatenate([columns, _lines(len(d), knots)], axis=1)
-    weights = _weights(whole, d)
-    folds = [_fold(columns, d, weights, knots, b) for b in range(_BLOCKS)]
+    every = range(whole.shape[1])
+    of_rows = weights_of_usual(
+        lambda some: d - whole @ _Squares.of(whole, d, some).solved(every, _PENALTIES[1]), len(d)
+    )
+    folds = [_fold(columns, d, of_rows, knots, b) for b in range(_BLOCKS)]
     kept, found, as_well = _selected(folds, groups)
     coefficients = np.zeros(columns.shape[1])
     used = _columns(groups, kept)
     own = [*used, *range(columns.shape[1], whole.shape[1])]
-    solved = _Squares.of(whole, d, weights).solved(own, found.penalty)
+    solved = _Squares.of(whole, d, of_rows).solved(own, found.penalty)
     coefficients[used] = solved[: len(used)]
     nothing = _tried(folds, [], _PENALTIES[0])
     return Learned(
@@ -173,13 +173,3 @@ def _lines(rows: int, knots: Array) -> Array:
     """Return the line (rows,·) that is 1 at one knot and 0 at the others, for each."""
     at = np.arange(rows) + 0.5
     return np.column_stack([np.interp(at, knots, one) for one in np.eye(len(knots))])
-
-
-def _weights(columns: Array, d: Array) -> Array:
-    """Return Huber's weights (K,) for a map of all parts."""
-    weights, own = np.ones(len(d)), range(columns.shape[1])
-    for far in (_NEAR,) * _ROUNDS + (_FAR,) * _ROUNDS:
-        left = np.abs(d - columns @ _Squares.of(columns, d, weights).solved(own, _PENALTIES[1]))
-        std = _STD_OF_MEDIAN * float(np.median(left))
-        weights = np.minimum(1.0, far * std / np.maximum(left, 1e-300))
-    return weights

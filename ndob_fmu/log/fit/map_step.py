@@ -22,7 +22,7 @@ class LearnedMap:
 
     depends_on: the parts that are kept
     rms_without, rms_with: of what remains of the disturbance in parts of the log that were left out, without and with
-        the map, about a line
+        the map, about a line, but for pulses
     """
 
     depends_on: tuple[str, ...]

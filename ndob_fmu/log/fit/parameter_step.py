@@ -2,7 +2,8 @@
 
 The most likely ones are right where the model has no other fault. Where it lacks something else, they are those that
 explain the fast part of it, which the class of the disturbance says is unlikely; then the disturbance that is left may
-be larger than with the parameters as told. Those that leave the least disturbance weigh all of it alike.
+be larger than with the parameters as told. Those that leave the least disturbance weigh all of it alike, but for
+pulses.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ndob_fmu.log.fit.likelihood import Likelihood, Moved, likelihood
 from ndob_fmu.log.fit.needed_events import needed_events
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
+from ndob_fmu.log.fit.rare import weights_of_usual
 from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.log.smooth.linear_record import Smoothed
 from ndob_fmu.log.smooth.smoother import backward, forward
@@ -101,11 +103,19 @@ def _apart(found: Likelihood, n: int) -> Array:
 
 
 def least_disturbance(problem: Problem, trajectory: Array, theta: Array, noise: NoiseFit) -> Step:
-    """Return a step to the least mean square of the smoothed disturbance.
+    """Return a step to the least mean square of the smoothed disturbance, without what is rare, as pulses.
 
     The covariance counts what the disturbance is along each piece, not each row, as one observation of its own.
     """
     d, slopes = _disturbance(problem, trajectory, theta, noise)
+
+    def left_with(some: Array) -> Array:
+        root = np.sqrt(some).reshape(*d.shape[:2], -1)
+        step, _ = _to_the_least(problem, root * d, root * slopes)
+        return np.asarray((d + np.einsum("alsq,a->lsq", slopes, step)).reshape(-1, d.shape[-1]))
+
+    root = np.sqrt(weights_of_usual(left_with, d.shape[0] * d.shape[1])).reshape(d.shape)
+    d, slopes = root * d, root * slopes
     step, inverse = _to_the_least(problem, d, slopes)
     left = d + np.einsum("alsq,a->lsq", slopes, step)
     of_pieces = np.einsum("alsq,lsq->sa", slopes, left)
