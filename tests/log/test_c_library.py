@@ -138,10 +138,10 @@ def test_the_steps_of_a_plant_with_several_disturbances_are_the_same(apart, in_n
     u, H = random.uniform(0.0, 15.0, (ROWS, 2)), random.uniform(1e-3, 0.5, ROWS)  # some of many parts
     directions = found.noise_directions
     sizes = random.uniform(0.5, 1.0, (ROWS, directions.shape[1]))
-    motion = Motion(rows, u, H)
-    plan = motion.plan(xi, xi)
+    motion = Motion(rows, xi, u, H)
+    plan = motion.plan(xi)
     steps, expected = (
-        call(motion.steps, xi, plan, directions, sizes, apart=apart) for call in (found_in_c, in_numpy)
+        call(motion.steps, plan, directions, sizes, apart=apart) for call in (found_in_c, in_numpy)
     )  # fmt: skip
     assert_close(vars(steps), vars(expected), 1e-11)
 

@@ -38,9 +38,15 @@ def setup(free=(), **values):
     return Setup(CART, EQUATIONS, told_values(EQUATIONS, {**WRONG, **values}), free, 0.3, None)
 
 
+def linearised(problem, trajectory):
+    """Return a log about a trajectory."""
+    course = problem.course(trajectory, problem.told)
+    return problem.about(course, course.plan)
+
+
 def pieces(problem, trajectory):
     """Return a log about a trajectory in pieces, and where events may be in it."""
-    return problem.about(trajectory, problem.told, problem.plan(trajectory, problem.told)).pieces(slice(None))
+    return linearised(problem, trajectory).pieces(slice(None))
 
 
 def test_pieces_are_as_likely_as_the_record_as_a_whole(tmp_path):
@@ -50,7 +56,7 @@ def test_pieces_are_as_likely_as_the_record_as_a_whole(tmp_path):
     run = told.online(tmp_path / "log.csv", None, None)
     problem = told.problem(run, 1)
     trajectory = told.trajectory(run, problem)
-    about = problem.about(trajectory, problem.told, problem.plan(trajectory, problem.told))
+    about = linearised(problem, trajectory)
     cut, search = about.pieces(slice(None))
     noise = noise_fit.fit_noise(cut, search, problem.layout, None)
     assert len(cut.pieces.first) > 5
@@ -150,7 +156,7 @@ def test_what_stands_between_jumps_or_ends_a_few_rows_apart_does_not_count_as_th
     def largest(*jumps):
         events = Events(dict.fromkeys(jumps, False))
         noise = NoiseFit(np.zeros(2), np.zeros(1), np.eye(3), events, 0.0)
-        about = problem.about(trajectory, problem.told, problem.plan(trajectory, problem.told))
+        about = linearised(problem, trajectory)
         return ClassFit(about, noise, np.zeros(0), np.zeros((0, 0)), trajectory, events).largest(np.full(1, 0.5))
 
     assert largest(300, 305, 500) == 1.5

@@ -140,7 +140,8 @@ def problem(tmp_path_factory):
 def test_events_that_a_wrong_mass_looks_like_are_given_up_with_the_step_to_the_right_one(problem):
     told, trajectory = problem
     calm = NoiseFit(np.zeros(1), np.full(1, -6.0), np.eye(2), Events(), 0.0)
-    record, search = told.about(trajectory, told.told, told.plan(trajectory, told.told)).pieces(slice(None))
+    course = told.course(trajectory, told.told)
+    record, search = told.about(course, course.plan).pieces(slice(None))
     events = search.within(calm.cut(record, told.layout), Events())
     assert len(events.jumps) + len(events.outliers) > 0
     step, _, needed = most_likely(told, trajectory, told.told, replace(calm, events=events))

@@ -88,7 +88,7 @@ def test_in_a_step_in_which_friction_may_hold_nothing_depends_on_the_disturbance
 
     def taken(found):
         motion, noise = found.motion(rows, xi, u, np.full(2, H))
-        steps = motion.steps(xi, motion.plan(xi, xi), channel, sizes, apart=False)
+        steps = motion.steps(motion.plan(xi), channel, sizes, apart=False)
         return replace(steps, noise=np.concatenate([steps.noise, noise], axis=2))
 
     steps, free = taken(held), taken(replace(held, by=~held.by))

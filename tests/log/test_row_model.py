@@ -44,8 +44,8 @@ def test_a_step_of_all_rows_is_that_of_each_row(case, H, close):
     u = random.standard_normal((K, len(eq.inputs)))
     intensity = np.ones(found.layout.q)
     sizes = np.broadcast_to(found.noise_sizes(intensity, H), (K, found.noise_directions.shape[1]))
-    motion = Motion(rows, u, np.full(K, H))
-    steps = motion.steps(xi, motion.plan(xi, xi), found.noise_directions, sizes, apart=True)
+    motion = Motion(rows, xi, u, np.full(K, H))
+    steps = motion.steps(motion.plan(xi), found.noise_directions, sizes, apart=True)
     nothing = joined(np.zeros((N, N)), np.zeros((N, 0)), np.zeros((N, 0)))
     y, C = rows.output(xi, u), rows.output_slopes(xi, u)
     for k in range(K):

@@ -53,10 +53,10 @@ def test_a_drive_that_friction_stops_or_turns_within_a_step_ends_it_where_it_doe
     K = 300
     xi = np.column_stack([random.uniform(-1.0, 1.0, K), random.uniform(-0.3, 0.3, K), random.uniform(-0.04, 0.04, K)])
     u = random.uniform(-0.06, 0.06, (K, 1))
-    motion = Motion(rows, u, np.full(K, STEP))
+    motion = Motion(rows, xi, u, np.full(K, STEP))
     true = np.array([predict_mean(rows.model, one, of.tolist(), STEP) for one, of in zip(xi, u, strict=True)])
     channel = rows.model.noise_directions
-    found = motion.steps(xi, motion.plan(xi, xi), channel, np.ones((K, channel.shape[1])), apart=True)
+    found = motion.steps(motion.plan(xi), channel, np.ones((K, channel.shape[1])), apart=True)
     of_load = rows.model.bound[0] / 1.6e-3 * STEP
     assert np.mean(np.abs(true[:, 1]) < width) > 0.05
     error = np.abs(found.end - true)[:, 1] / of_load
@@ -97,8 +97,8 @@ def test_steps_of_a_linear_plant_are_those_of_its_exponential():
         dynamics=lambda x, u, d, p: [x.rate, u.push + d.force - 100.0 * x.place - x.rate], disturbance_bound=1.0,
     )  # fmt: skip
     rows, H, xi = tuned(model, 0.02), 0.02, np.array([[0.5, 2.0, -0.7]])
-    motion, channel = Motion(rows, np.array([[0.3]]), np.full(1, H)), rows.model.noise_directions
-    end = motion.steps(xi, motion.plan(xi, xi), channel, np.ones((1, channel.shape[1])), apart=True).end[0]
+    motion, channel = Motion(rows, xi, np.array([[0.3]]), np.full(1, H)), rows.model.noise_directions
+    end = motion.steps(motion.plan(xi), channel, np.ones((1, channel.shape[1])), apart=True).end[0]
     F = np.array([[0.0, 1.0, 0.0], [-100.0, -1.0, 1.0], [0.0, 0.0, 0.0]])
     at_rest = np.array([(0.3 - 0.7) / 100.0, 0.0, -0.7])  # with this input and disturbance
     np.testing.assert_allclose(end, at_rest + scipy.linalg.expm(F * H) @ (xi[0] - at_rest), rtol=0, atol=1e-13)
@@ -126,7 +126,7 @@ def test_an_oscillator_whose_states_have_far_different_sizes_takes_as_many_parts
     rows, K = tuned(model, 1e-3), 50
     zeros, H = np.zeros((K, rows.model.layout.size)), np.full(K, 1e-3)
     H[7] = 0.05  # a gap in the log, which takes more parts than the other steps do
-    plan = Motion(rows, np.zeros((K, 1)), H).plan(zeros, zeros)
+    plan = Motion(rows, zeros, np.zeros((K, 1)), H).plan(zeros)
     assert np.median(plan.parts) == parts
     assert plan.parts[7] == 16
 

@@ -218,7 +218,8 @@ def fit_class(
     train, at_best, events = slice(problem.trained), problem.told, None if start is None else start.events
     for turn in range(_MOST_ROUNDS):
         go_on(f"round {1 + turn} of {_MOST_ROUNDS} at most, disturbance_order {problem.layout.order}")
-        about = problem.about(trajectory, theta, problem.plan(trajectory, theta))
+        course = problem.course(trajectory, theta)
+        about = problem.about(course, course.plan)
         noise = fit_noise(*about.pieces(train), problem.layout, before or first)
         found = _explained(about, noise, noise.events if events is None else events)
         events = found.events

@@ -51,10 +51,10 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
     knows later samples. So that change would be like the innovations, and its sum along the record a bias of θ.
     """
     K, prior, n = problem.trained, problem.parameter_std, len(problem.parameter_std)
-    plan = problem.plan(trajectory[:K], theta)
+    course = problem.course(trajectory[:K], theta)
 
     def about(step: Array, at: Array) -> Moved:
-        cut, search = problem.about(at, theta + step, plan).pieces(slice(K))
+        cut, search = problem.about(problem.course(at, theta + step), course.plan).pieces(slice(K))
         return Moved(noise.cut(cut, problem.layout), search.columns, float(step.sum()))
 
     def told(step: Array) -> Moved:
@@ -66,7 +66,7 @@ def most_likely(problem: Problem, trajectory: Array, theta: Array, noise: NoiseF
         at[: len(here)] += _smoothed(there, noise.events) - here
         return about(step, at)
 
-    record, search = problem.about(trajectory[:K], theta, plan).pieces(slice(K))
+    record, search = problem.about(course, course.plan).pieces(slice(K))
     centre, of_noise = moved(record, problem.layout, search.columns, noise.logs)
     here = _smoothed(centre, noise.events)
     of_parameters = [*map(told, np.diag(_MOVED * prior))]
@@ -148,10 +148,10 @@ def _disturbance(problem: Problem, trajectory: Array, theta: Array, noise: Noise
     Differences are one-sided: the disturbance is nearly linear in θ.
     """
     K, layout, model = problem.trained, problem.layout, problem.rows.model
-    plan = problem.plan(trajectory[:K], theta)
+    plan = problem.course(trajectory[:K], theta).plan
 
     def disturbance(moved: Array) -> Array:
-        record, search = problem.about(trajectory[:K], theta + moved, plan).pieces(slice(K))
+        record, search = problem.about(problem.course(trajectory[:K], theta + moved), plan).pieces(slice(K))
         told = noise.cut(record, layout)
         run = forward(told.parts, told.pieces.placed(search.columns.at(noise.events.jumps)))
         xi = trajectory[told.pieces.rows] + Smoothed(run, backward(told.parts, run)).xi

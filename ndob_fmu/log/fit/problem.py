@@ -8,7 +8,7 @@ import numpy as np
 
 from ndob_fmu.log.fit.noise_columns import in_few_columns
 from ndob_fmu.log.fit.noise_fit import EventSearch
-from ndob_fmu.log.smooth.along import Samples, Start, plan_along, record_along
+from ndob_fmu.log.smooth.along import Course, Samples, Start
 from ndob_fmu.log.smooth.events import Jumps
 from ndob_fmu.log.smooth.linear_record import LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
@@ -64,34 +64,25 @@ class Problem:
         """θ (n_θ,) as told."""
         return np.array([*self.rows.model.parameters, *self.offset])[list(self.free)]
 
-    def plan(self, trajectory: Array, theta: Array) -> StepPlan:
-        """Return in which parts steps are taken about a trajectory (K,N), with θ (n_θ,) and near it.
-
-        Raises IntegrationError where the equations cannot be followed.
-        """
-        rows, samples = self._with(theta, len(trajectory))
-        return plan_along(rows, samples, trajectory)
-
-    def about(self, trajectory: Array, theta: Array, plan: StepPlan) -> Linearised:
-        """Return the first rows of the log about a trajectory (K,N), with θ (n_θ,).
-
-        Raises IntegrationError where the equations cannot be followed.
-        """
-        rows, samples = self._with(theta, len(trajectory))
-        start = Start(trajectory[0], np.diag(self.wide))
-        record, columns = record_along(rows, samples, trajectory, lambda H: self.intensity, start, plan, apart=True)
-        record = replace(record, noise=in_few_columns(record.noise, self.layout.q))
-        return Linearised(self, trajectory, record, columns)
-
-    def _with(self, theta: Array, K: int) -> tuple[RowModel, Samples]:
-        """Return the equations with θ, and the first K samples without the offsets in it."""
+    def course(self, trajectory: Array, theta: Array) -> Course:
+        """Return the first rows of the log along a trajectory (K,N), with θ (n_θ,) and without the offsets in it."""
         told = self.rows.model.parameters
         numbers = np.array([*told, *self.offset])
         numbers[list(self.free)] = theta
         parameters, offset = np.split(numbers, [len(told)])
-        samples = self.samples.first(K)
+        samples = self.samples.first(len(trajectory))
         rows = RowModel(replace(self.rows.model, parameters=tuple(parameters.tolist())), self.rows.functions)
-        return rows, replace(samples, outputs=samples.outputs - offset)
+        return Course(rows, replace(samples, outputs=samples.outputs - offset), trajectory)
+
+    def about(self, course: Course, plan: StepPlan) -> Linearised:
+        """Return what `course` found, linearised; plan: of it, or of one with θ near its own.
+
+        Raises IntegrationError where the equations cannot be followed.
+        """
+        start = Start(course.trajectory[0], np.diag(self.wide))
+        record, columns = course.record(start, self.intensity, plan, apart=True)
+        record = replace(record, noise=in_few_columns(record.noise, self.layout.q))
+        return Linearised(self, course.trajectory, record, columns)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -81,66 +81,68 @@ def intensities(tuned: Tuned, steps: Array) -> Array:
     return np.broadcast_to(scaled, (len(steps), len(at_tuned)))
 
 
-def plan_along(rows: RowModel, samples: Samples, trajectory: Array) -> StepPlan:
-    """Return in which parts steps along a trajectory ξ (K,N) are taken.
+@dataclass(frozen=True)
+class Course:
+    """A log along a trajectory, about which the equations are linear. It keeps what a plan and records have in common.
 
-    Raises IntegrationError where the equations have no slopes.
+    rows: the equations
+    samples: at K instants
+    trajectory (K,N): ξ there
     """
-    return _motion(rows, samples, trajectory)[0].plan(trajectory[:-1], trajectory[1:])
 
+    rows: RowModel
+    samples: Samples
+    trajectory: Array
 
-def record_along(
-    rows: RowModel,
-    samples: Samples,
-    trajectory: Array,
-    intensity: Callable[[Array], Array],
-    start: Start,
-    plan: StepPlan,
-    *,
-    apart: bool,
-) -> tuple[LinearRecord, Jumps]:
-    """Return a record about a trajectory ξ (K,N), and the columns of jumps of d at each instant.
+    @cached_property
+    def plan(self) -> StepPlan:
+        """In which parts the steps are taken. Raises IntegrationError where the equations have no slopes."""
+        return self._motion[0].plan(self.trajectory[1:])
 
-    intensity: of the noise behind the r-th derivative of d (K-1,q2), for steps (K-1,) s; or (q2,), the same for all
-    start: what is known before the first sample
-    plan: as of `plan_along`, of this trajectory
-    apart: whether each column of `FilterModel.noise_directions` has N columns of its own in the noise of the record
+    def record(self, start: Start, intensity: Array, plan: StepPlan, *, apart: bool) -> tuple[LinearRecord, Jumps]:
+        """Return a record about the trajectory, and the columns of jumps of d at each instant.
 
-    Raises IntegrationError where the equations cannot be followed along a step.
-    """
-    model, K, N = rows.model, *trajectory.shape
-    # A sample belongs to the input until then, which outputs with feed-through show.
-    before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
-    sizes = rows.noise_sizes(intensity(samples.step), samples.step)
-    held, (motion, more) = samples.held, _motion(rows, samples, trajectory)
-    steps = motion.steps(trajectory[:-1], plan, model.noise_directions, sizes, apart=apart)
-    noise = np.concatenate([steps.noise, more], axis=2) if more.size else steps.noise
-    in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
-    weights = np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None] * model.bound
-    np.multiply(steps.jumps, weights, out=in_step[1:].reshape(steps.jumps.shape))
-    record = LinearRecord(
-        Phi=steps.Phi,
-        noise=noise if apart or not more.size else lower_factor(noise),
-        shift=steps.end - trajectory[1:],
-        rows=rows.output_slopes(trajectory, before),
-        misfit=samples.outputs - rows.output(trajectory, before),
-        variance=samples.noise_variance,
-        start=start.xi - trajectory[0],
-        start_factor=start.factor,
-    )
-    at_sample = np.sqrt(_VARIANCE) * model.jump_channel * model.bound
-    every = np.broadcast_to(at_sample, (K, *at_sample.shape))
-    if held is not None and not held.shows_jumps:
-        # A jump at a sample moves the plant in the step behind it, one in a step in this one and those behind.
-        hidden = held.any
-        every = every.copy()
-        every[:-1][hidden], in_step[1:][hidden] = 0.0, 0.0
-    return record, Jumps(every, in_step)
+        start: what is known before the first sample
+        intensity: of the noise behind the r-th derivative of d (K-1,q2), or (q2,), the same in all steps
+        plan: of this course, or of one with slightly different parameters
+        apart: whether each column of `FilterModel.noise_directions` has N columns of its own in the noise of the record
 
+        Raises IntegrationError where the equations cannot be followed along a step.
+        """
+        rows, samples, trajectory = self.rows, self.samples, self.trajectory
+        model, K, N = rows.model, *trajectory.shape
+        # A sample belongs to the input until then, which outputs with feed-through show.
+        before = np.concatenate([samples.inputs[:1], samples.inputs[:-1]])
+        sizes = rows.noise_sizes(intensity, samples.step)
+        held, (motion, more) = samples.held, self._motion
+        steps = motion.steps(plan, model.noise_directions, sizes, apart=apart)
+        noise = np.concatenate([steps.noise, more], axis=2) if more.size else steps.noise
+        in_step = np.zeros((K, N, NODE_WEIGHTS.size * model.layout.q))
+        weights = np.sqrt(_VARIANCE * NODE_WEIGHTS)[:, None] * model.bound
+        np.multiply(steps.jumps, weights, out=in_step[1:].reshape(steps.jumps.shape))
+        record = LinearRecord(
+            Phi=steps.Phi,
+            noise=noise if apart or not more.size else lower_factor(noise),
+            shift=steps.end - trajectory[1:],
+            rows=rows.output_slopes(trajectory, before),
+            misfit=samples.outputs - rows.output(trajectory, before),
+            variance=samples.noise_variance,
+            start=start.xi - trajectory[0],
+            start_factor=start.factor,
+        )
+        at_sample = np.sqrt(_VARIANCE) * model.jump_channel * model.bound
+        every = np.broadcast_to(at_sample, (K, *at_sample.shape))
+        if held is not None and not held.shows_jumps:
+            # A jump at a sample moves the plant in the step behind it, one in a step in this one and those behind.
+            hidden = held.any
+            every = every.copy()
+            every[:-1][hidden], in_step[1:][hidden] = 0.0, 0.0
+        return record, Jumps(every, in_step)
 
-def _motion(rows: RowModel, samples: Samples, trajectory: Array) -> tuple[Motion, Array]:
-    """Return the motion of ξ in the steps along a trajectory (K,N), and what surfaces make unknown of it (K-1,N,·)."""
-    at, u, H = trajectory[:-1], samples.inputs[:-1], samples.step
-    if samples.held is None:
-        return Motion(rows, u, H), np.zeros((*at.shape, 0))
-    return samples.held.motion(rows, at, u, H)
+    @cached_property
+    def _motion(self) -> tuple[Motion, Array]:
+        """The motion of ξ in the steps, and what surfaces make unknown of it (K-1,N,·)."""
+        at, u, H = self.trajectory[:-1], self.samples.inputs[:-1], self.samples.step
+        if self.samples.held is None:
+            return Motion(self.rows, at, u, H), np.zeros((*at.shape, 0))
+        return self.samples.held.motion(self.rows, at, u, H)

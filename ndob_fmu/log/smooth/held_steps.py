@@ -111,7 +111,7 @@ class HeldSteps:
         unseen = np.sqrt(_VARIANCE * self.hidden * self.any)[:, None, None] * rows.model.jump_channel
         noise[:, :, count : count + q] = unseen * rows.model.bound
         noise[:, :, count + q : count + 2 * q] = self._sustained(rows.model, H)
-        return Motion(rows, u, H, projection), noise
+        return Motion(rows, xi, u, H, projection), noise
 
     def _sustained(self, model: FilterModel, H: Array) -> Array:
         """Return noise of the r-th derivatives of d (K,N,q2), which does in a stretch what sines at their bounds do.

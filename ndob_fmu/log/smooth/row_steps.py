@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,29 +85,36 @@ class Motion:
     """The motion of ξ in steps that begin at K rows.
 
     equations: of all rows
+    xi (K,N): ξ there
     u (K,m): inputs
     H (K,): s, to the next row
     projection (K,N,N): onto the ways that ξ can go, where surfaces may hold it
     """
 
     equations: RowModel
+    xi: Array
     u: Array
     H: Array
     projection: Array | None = None
 
-    def plan(self, xi: Array, towards: Array) -> StepPlan:
-        """Return in which parts steps from ξ (K,N) are taken; towards (K,N): where they lead, about.
+    @cached_property
+    def slopes(self) -> Array:
+        """F (K,N,N) where the steps begin."""
+        return self._slopes(self.xi)
+
+    def plan(self, towards: Array) -> StepPlan:
+        """Return in which parts the steps are taken; towards (K,N): where they lead, about.
 
         Raises IntegrationError where the equations have no slopes.
         """
         model, H = self.equations.model, self.H
-        F, longest = self._slopes(xi), float(np.quantile(H, _USUAL, method="higher"))
+        F, longest = self.slopes, float(np.quantile(H, _USUAL, method="higher"))
         usual = np.quantile(np.abs(F[:: len(F) // _NEAR + 1]), _USUAL, axis=0, method="higher")
         most = np.maximum(F.max(axis=0), -F.min(axis=0))
         # In units for the longest step, which a gap makes, all others would take as many parts as that one.
         units = calm_units(usual * longest, model.units(most, longest))
-        near = [not_copied(rows) for rows in np.array_split(np.arange(len(xi)), len(xi) // _NEAR + 1)]
-        bends = [self._some(rows)._bends(xi[rows], towards[rows], F[rows], units) for rows in near]
+        near = [not_copied(rows) for rows in np.array_split(np.arange(len(F)), len(F) // _NEAR + 1)]
+        bends = [self._some(rows)._bends(towards[rows], F[rows], units) for rows in near]
         size, change = (np.concatenate(one) for one in zip(*bends, strict=True))
         if not np.isfinite(size).all():
             raise _left_the_numbers()
@@ -114,9 +122,9 @@ class Motion:
         parts = np.minimum(2 ** np.ceil(np.log2(np.maximum(needed, 1.0))), _MOST_PARTS).astype(int)
         return StepPlan(units, parts, size > _MOST_PARTS * _SHORT)
 
-    def _bends(self, xi: Array, towards: Array, F: Array, units: Array) -> tuple[Array, Array]:
+    def _bends(self, towards: Array, F: Array, units: Array) -> tuple[Array, Array]:
         """Return the largest ‖F H‖ (K,) in a step, and by how much F H changes (K,), as far as a few points tell."""
-        H = self.H
+        xi, H = self.xi, self.H
         size, change = _norms(F, units) * H, np.zeros(len(F))
         if self.equations.model.is_linear:
             return size, change
@@ -135,19 +143,19 @@ class Motion:
                 size[passes], change[passes] = _BEYOND, _BEYOND
         return size, change
 
-    def steps(self, xi: Array, plan: StepPlan, channel: Array, sizes: Array, *, apart: bool) -> RowSteps:
-        """Return the steps from ξ (K,N), with white noise through a channel (N,c) of sizes (K,c).
+    def steps(self, plan: StepPlan, channel: Array, sizes: Array, *, apart: bool) -> RowSteps:
+        """Return the steps, with white noise through a channel (N,c) of sizes (K,c).
 
         apart: whether the noise through each column of the channel has columns of its own
 
         Raises IntegrationError where the equations cannot be followed.
         """
-        K, N, c, q = len(xi), *channel.shape, self.equations.model.layout.q
+        K, N, c, q = len(self.xi), *channel.shape, self.equations.model.layout.q
         found = RowSteps(
             np.empty((K, N)), np.empty((K, N, N)), np.empty((K, N, c * N if apart else N)), np.empty((K, N, 3, q))
         )
         for parts, stiff, rows in plan.groups():
-            end, done = self._some(rows)._in_parts(xi[rows], channel, plan.units, parts, stiff=stiff)
+            end, done = self._some(rows)._in_parts(self.slopes[rows], channel, plan.units, parts, stiff=stiff)
             found.end[rows], found.Phi[rows], found.jumps[rows] = end, done.Phi, done.responses
             done.noise[:] *= sizes[rows][:, None, :, None]
             noise = done.noise.reshape(-1, N, c * N)
@@ -156,14 +164,14 @@ class Motion:
 
     def _some(self, rows: Rows) -> Motion:
         projection = None if self.projection is None else self.projection[rows]
-        return Motion(self.equations, self.u[rows], self.H[rows], projection)
+        return Motion(self.equations, self.xi[rows], self.u[rows], self.H[rows], projection)
 
     def _in_parts(
-        self, xi: Array, channel: Array, units: Array, parts: int, *, stiff: bool
+        self, first: Array, channel: Array, units: Array, parts: int, *, stiff: bool
     ) -> tuple[Array, RowTransition]:
-        """Return the ends (K,N) of steps in so many parts, and the transitions."""
-        (K, N), c, h, jump = xi.shape, channel.shape[1], self.H / parts, self.equations.model.jump_channel
-        first = F = self._slopes(xi)
+        """Return the ends (K,N) of steps in so many parts, and the transitions; first (K,N,N): F where they begin."""
+        xi, F, h, jump = self.xi, first, self.H / parts, self.equations.model.jump_channel
+        (K, N), c = xi.shape, channel.shape[1]
         Phi, noise = np.broadcast_to(np.eye(N), (K, N, N)), np.zeros((K, N, c, 0))
         for _ in range(parts):
             if stiff and self.projection is None:

@@ -9,10 +9,10 @@ import numpy as np
 
 from ndob_fmu.codegen.row_functions import RowFunctions
 from ndob_fmu.log.online import SURE_OF_NOISE, Stretch
-from ndob_fmu.log.smooth.along import Samples, Start, intensities, plan_along, record_along, unpacked_rows
+from ndob_fmu.log.smooth.along import Course, Samples, Start, intensities, unpacked_rows
 from ndob_fmu.log.smooth.event_search import explained_from
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
-from ndob_fmu.log.smooth.held_steps import HeldSteps, held_at_first, limited
+from ndob_fmu.log.smooth.held_steps import held_at_first, limited
 from ndob_fmu.log.smooth.jump_instants import mixed
 from ndob_fmu.log.smooth.linear_record import LinearRecord, Smoothed
 from ndob_fmu.log.smooth.misfit import ModelError, error_of_model, is_followed, no_error
@@ -83,22 +83,57 @@ def smooth(
     while True:
         following = next(stretches, None)
         part = stretch if following is None else stretch.and_then(following.rows(slice(_LOOK_AHEAD)))
-        found, columns, trajectory, error, held = explained_stretch(tuned, equations, part, start, started)
-        K = len(stretch.log.time)
-        yield stretch, smoothed_stretch(equations, found, columns, trajectory, error, held, part, K)
+        found, K = explained_stretch(tuned, equations, part, start, started), len(stretch.log.time)
+        yield stretch, found.smoothed(K)
         if following is None:
             return
-        start = Start(trajectory[K] + found.forward.xi[K], found.forward.factor[K])
+        run = found.explained.forward
+        start = Start(found.course.trajectory[K] + run.xi[K], run.factor[K])
         started = 0
         stretch = following
 
 
-def explained_stretch(
-    tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int
-) -> tuple[Explained, Jumps, Array, ModelError, HeldSteps | None]:
-    """Return a stretch as its events and the model's error explain it, and the trajectory (K,N) of its linearisation.
+@dataclass(frozen=True)
+class ExplainedStretch:
+    """A stretch of a log as its events and the model's error explain it.
 
-    Behind them are the steps in which surfaces may hold the state.
+    course: about which the equations are linear
+    columns: of jumps, at each of its rows
+    """
+
+    course: Course
+    explained: Explained
+    columns: Jumps
+    error: ModelError
+
+    def smoothed(self, rows: int) -> SmoothedStretch:
+        """Return the smoothed estimate at the first rows."""
+        equations, found, inputs = self.course.rows, self.explained, self.course.samples.inputs
+        about, held = self.course.trajectory, self.course.samples.held
+        model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
+        all_rows = Smoothed(found.forward, found.adjoint)
+        xi, std = about + all_rows.xi, all_rows.std
+        d, variance = mixed(found, self.columns, xi[:, places], std[:, places] ** 2)
+        if held is not None:
+            d, variance = limited(equations, held, xi, all_rows.covariance, inputs, d, variance)
+        xi, std = xi[:rows], std[:rows]
+        more = equations.taken_for_disturbance(about[:rows], inputs[:rows])
+        d, d_std = as_published(model, d[:rows], variance[:rows] + more)
+        return SmoothedStretch(
+            x=xi[:, :n],
+            x_std=std[:, :n],
+            d=d,
+            d_std=d_std,
+            offset=xi[:, model.layout.biases],
+            offset_std=std[:, model.layout.biases],
+            jumps=sum(k < rows for k in found.events.jumps),
+            outliers=sum(k < rows for k, _ in found.events.outliers),
+            misfit=self.error.sizes,
+        )
+
+
+def explained_stretch(tuned: Tuned, equations: RowModel, part: Stretch, start: Start, started: int) -> ExplainedStretch:
+    """Return a stretch as its events and the model's error explain it.
 
     started: rows of the start, in which the disturbance is unknown anyway
 
@@ -112,14 +147,13 @@ def explained_stretch(
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
 
-    def linearised(trajectory: Array, events: Events) -> tuple[Explained, Jumps, ModelError]:
-        plan = plan_along(equations, samples, trajectory)
+    intensity = intensities(tuned, samples.step)
+
+    def linearised(trajectory: Array, events: Events) -> ExplainedStretch:
+        course = Course(equations, samples, trajectory)
 
         def record_of(factor: float) -> tuple[LinearRecord, Jumps]:
-            def intensity(steps: Array) -> Array:
-                return factor * intensities(tuned, steps)
-
-            return record_along(equations, samples, trajectory, intensity, start, plan, apart=False)
+            return course.record(start, factor * intensity, course.plan, apart=False)
 
         record, columns = record_of(1.0)
         whole, state_std = WholeRecord(record), model.start_std[: model.layout.n]
@@ -129,18 +163,17 @@ def explained_stretch(
             error = error_of_model(record, free, columns, events, state_std, samples.step)
             whole = WholeRecord(error.added_to(record, state_std, samples.step))
             found = with_events(whole, columns, events)
-        return explained_from(found, whole, columns, spacing, started), columns, error
+        return ExplainedStretch(course, explained_from(found, whole, columns, spacing, started), columns, error)
 
     if not model.is_linear:
-        found, _, _ = linearised(about, events)
+        found = linearised(about, events).explained
         smoothed = Smoothed(found.forward, found.adjoint)
         about, events = about + smoothed.xi, found.events
         if samples.held is not None:
             held = samples.held.looked_at_again(equations, about, smoothed.covariance, inputs)
             held, events = held.widened(spacing).with_hidden(events)
             samples = replace(samples, held=held)
-    found, columns, error = linearised(about, events)
-    return found, columns, about, error, samples.held
+    return linearised(about, events)
 
 
 def noise_variance(model: FilterModel, ratio: Array) -> Array:
@@ -151,36 +184,3 @@ def noise_variance(model: FilterModel, ratio: Array) -> Array:
     believed = np.concatenate([np.broadcast_to(ratio[first], (first, ratio.shape[1])), ratio[first:]])
     used = in_use(believed.ravel().tolist(), np.tile(model.least_noise, len(believed)).tolist())
     return np.asarray(model.noise_variance * np.reshape(used, believed.shape))
-
-
-def smoothed_stretch(
-    equations: RowModel,
-    found: Explained,
-    columns: Jumps,
-    about: Array,
-    error: ModelError,
-    held: HeldSteps | None,
-    part: Stretch,
-    rows: int,
-) -> SmoothedStretch:
-    """Return the smoothed estimate at the first rows of a stretch."""
-    model, n, places = equations.model, equations.model.layout.n, equations.model.layout.disturbance
-    all_rows = Smoothed(found.forward, found.adjoint)
-    xi, std = about + all_rows.xi, all_rows.std
-    d, variance = mixed(found, columns, xi[:, places], std[:, places] ** 2)
-    if held is not None:
-        d, variance = limited(equations, held, xi, all_rows.covariance, part.log.inputs, d, variance)
-    xi, std = xi[:rows], std[:rows]
-    more = equations.taken_for_disturbance(about[:rows], part.log.inputs[:rows])
-    d, d_std = as_published(model, d[:rows], variance[:rows] + more)
-    return SmoothedStretch(
-        x=xi[:, :n],
-        x_std=std[:, :n],
-        d=d,
-        d_std=d_std,
-        offset=xi[:, model.layout.biases],
-        offset_std=std[:, model.layout.biases],
-        jumps=sum(k < rows for k in found.events.jumps),
-        outliers=sum(k < rows for k, _ in found.events.outliers),
-        misfit=error.sizes,
-    )

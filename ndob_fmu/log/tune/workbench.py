@@ -18,7 +18,7 @@ from ndob_fmu.codegen.row_functions import row_functions
 from ndob_fmu.interface.told_observer import for_disturbances, told_observer, values_of
 from ndob_fmu.log.diagnostics import OutputDiagnosis, ResidualTally
 from ndob_fmu.log.first_block import first_block, run_along
-from ndob_fmu.log.smooth.along import Samples, Start, in_layout, intensities, plan_along, record_along
+from ndob_fmu.log.smooth.along import Course, Start, in_layout, intensities
 from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, Jumps, with_events
 from ndob_fmu.log.smooth.jump_instants import mixed
@@ -123,10 +123,10 @@ class Workbench:
         begin("finding jumps and outliers")
         _, tuned = self._tuned(self.told)
         rows = RowModel(tuned.model, self._functions)
-        found, _, about, self._error, self._held = explained_stretch(
+        found = explained_stretch(
             tuned, rows, self.stretch, self._start(observer, tuned.model), tuned.model.start_samples
         )
-        self._layout, self._about, self._events = tuned.model.layout, about, found.events
+        self._about, self._error, self._events = found.course, found.error, found.explained.events
         self.warnings = (*run.warnings, *said_of_misfit(eq, self._error.sizes))
 
     @property
@@ -198,19 +198,13 @@ class Workbench:
         return np.asarray(self.stretch.online.noise_ratio * (told / new) ** 2)
 
     def _linearised(self, observer: SampledObserver, tuned: Tuned) -> _Linear:
-        model, log, step = tuned.model, self.stretch.log, self.stretch.step[:-1]
+        model, log = tuned.model, self.stretch.log
         told = np.broadcast_to(model.noise_variance, log.outputs.shape)
-        rows, trajectory = RowModel(model, self._functions), in_layout(self._about, self._layout, model.layout)
-        samples = Samples(step, log.inputs, log.outputs, told, self._held)
-        record, columns = record_along(
-            rows,
-            samples,
-            trajectory,
-            lambda steps: intensities(tuned, steps),
-            self._start(observer, model),
-            plan_along(rows, samples, trajectory),
-            apart=True,
-        )
+        rows, about = RowModel(model, self._functions), self._about
+        trajectory = in_layout(about.trajectory, about.rows.model.layout, model.layout)
+        course = Course(rows, replace(about.samples, noise_variance=told), trajectory)
+        start, intensity = self._start(observer, model), intensities(tuned, self.stretch.step[:-1])
+        record, columns = course.record(start, intensity, course.plan, apart=True)
         more = rows.taken_for_disturbance(trajectory, log.inputs)
         return _Linear(trajectory, record, columns, self._noise_sizes(tuned), more)
 
