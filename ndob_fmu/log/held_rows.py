@@ -8,35 +8,31 @@ from __future__ import annotations
 import numpy as np
 
 from ndob_fmu.log.online import Stretch
-from ndob_fmu.log.smooth.along import unpacked_rows
 from ndob_fmu.runtime.arrays import Array
-from ndob_fmu.runtime.equations import Equations
+from ndob_fmu.runtime.equations import Equations, Vector
 from ndob_fmu.runtime.numerics.sliding import sliding
-from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 
 # So many rows of a stretch tell its share. Less than this share of all rows is not worth a warning.
 _ROWS, _SHARE = 1000, 0.02
 
 
 class HeldRows:
-    """Counts over the rows of a log, stretch by stretch."""
+    """Counts over the rows of a log, stretch by stretch, for a plant with parameters p."""
 
-    def __init__(self, eq: Equations, observer: SampledObserver) -> None:
-        self._eq, self._observer = eq, observer
+    def __init__(self, eq: Equations, p: Vector) -> None:
+        self._eq, self._p = eq, p
         self._rows, self._held = 0.0, 0.0
 
-    def add(self, stretch: Stretch) -> None:
-        """Count a stretch."""
+    def add(self, stretch: Stretch, x: Array) -> None:
+        """Count a stretch, for which the observer predicted the states x (K,n)."""
         if self._eq.surfaces is None:
             return
-        layout, inputs = self._observer.layout, stretch.log.inputs
-        xi = unpacked_rows(layout, stretch.online.predicted)
-        looked_at = np.unique(np.linspace(0, len(xi) - 1, _ROWS).astype(int))
+        looked_at = np.unique(np.linspace(0, len(x) - 1, _ROWS).astype(int))
         held = sum(
-            self._is_held(xi[k, : layout.n], inputs[k], stretch.online.d_at_sample[k]) for k in looked_at.tolist()
+            self._is_held(x[k], stretch.log.inputs[k], stretch.online.d_at_sample[k]) for k in looked_at.tolist()
         )
-        self._rows += len(xi)
-        self._held += len(xi) * held / len(looked_at)
+        self._rows += len(x)
+        self._held += len(x) * held / len(looked_at)
 
     def warnings(self) -> list[str]:
         """Return a line where friction holds the plant in a part of the rows."""
@@ -48,13 +44,13 @@ class HeldRows:
         ]
 
     def _is_held(self, x: Array, u: Array, d: Array) -> bool:
-        inputs, disturbances, parameters = u.tolist(), d.tolist(), self._observer.parameters
+        inputs, disturbances = u.tolist(), d.tolist()
 
         def rate(x: Array) -> Array:
-            return np.array(self._eq.derivatives(x.tolist(), inputs, disturbances, parameters), dtype=float)
+            return np.array(self._eq.derivatives(x.tolist(), inputs, disturbances, self._p), dtype=float)
 
         def surfaces(x: Array) -> Array:
-            return self._eq.surfaces_at(x.tolist(), inputs, parameters)
+            return self._eq.surfaces_at(x.tolist(), inputs, self._p)
 
         here = sliding(rate, surfaces, x)
         return here is not None and len(here.held) > 0

@@ -9,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ndob_fmu.log.online import Stretch
-from ndob_fmu.log.smooth.along import unpacked_rows
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.equations import Equations, Vector
-from ndob_fmu.runtime.step.sampled_observer import SampledObserver
 
 # So many rows without feed-through are those of a plant that has none.
 _TRIED = 50
@@ -21,25 +19,24 @@ _LEAST_ROWS, _LEFT = 10, 0.25
 
 
 class OwnInput:
-    """Counts over the rows of a log, stretch by stretch."""
+    """Counts over the rows of a log, stretch by stretch, for a plant with parameters p."""
 
-    def __init__(self, eq: Equations, observer: SampledObserver) -> None:
-        self._eq, self._observer = eq, observer
+    def __init__(self, eq: Equations, p: Vector) -> None:
+        self._eq, self._p = eq, p
         self._may_be = eq.matrices is None and eq.channel is None
         self._last: Array | None = None
         self._rows, self._as_taken, self._with_own = np.zeros((3, len(eq.outputs)))
 
-    def add(self, stretch: Stretch) -> None:
-        """Count a stretch; those before it must have been added."""
+    def add(self, stretch: Stretch, x: Array) -> None:
+        """Count a stretch, for which the observer predicted the states x (K,n), behind those before it."""
         if not self._may_be:
             return
         inputs, online = stretch.log.inputs, stretch.online
         before = np.concatenate([inputs[:1] if self._last is None else self._last, inputs[:-1]])
         self._last = inputs[-1:]
-        xi = unpacked_rows(self._observer.layout, online.predicted)[:, : len(self._eq.states)]
         effect = np.zeros(online.residual.shape)
         for count, k in enumerate(np.flatnonzero((inputs != before).any(axis=1)).tolist()):
-            own, taken = (self._output(xi[k].tolist(), u[k].tolist()) for u in (inputs, before))
+            own, taken = (self._output(x[k].tolist(), u[k].tolist()) for u in (inputs, before))
             effect[k] = own - taken
             if count == _TRIED and not effect.any():
                 self._may_be = False
@@ -61,4 +58,4 @@ class OwnInput:
         ]
 
     def _output(self, x: Vector, u: Vector) -> Array:
-        return np.array(self._eq.output(x, u, self._observer.parameters), dtype=float)
+        return np.array(self._eq.output(x, u, self._p), dtype=float)

@@ -10,6 +10,7 @@ from ndob_fmu.log.held_rows import HeldRows
 from ndob_fmu.log.log import Found, Log
 from ndob_fmu.log.online import Stretch, usual_step
 from ndob_fmu.log.own_input import OwnInput
+from ndob_fmu.log.smooth.along import unpacked_rows
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.design.pace import Pace, pace_of, pace_warnings
 from ndob_fmu.runtime.equations import Equations, Vector
@@ -34,7 +35,8 @@ class Plausibility:
 
     def __init__(self, eq: Equations, observer: SampledObserver, bound: Sequence[float], pace: Pace | None) -> None:
         self._eq, self._bound, self._pace, self._step = eq, np.array(bound, dtype=float), pace, 0.0
-        self._own_input, self._held = OwnInput(eq, observer), HeldRows(eq, observer)
+        self._own_input, self._held = OwnInput(eq, observer.parameters), HeldRows(eq, observer.parameters)
+        self._layout = observer.layout
         self._names = (*eq.inputs, *eq.outputs)
         count, everything = len(self._names), (-np.inf, np.inf)
         low, high = np.array([eq.ranges.get(name, everything) for name in self._names]).reshape(count, 2).T
@@ -75,8 +77,9 @@ class Plausibility:
 
     def add(self, stretch: Stretch) -> None:
         """Count an estimate."""
-        self._own_input.add(stretch)
-        self._held.add(stretch)
+        x = unpacked_rows(self._layout, stretch.online.predicted)[:, : self._layout.n]
+        self._own_input.add(stretch, x)
+        self._held.add(stretch, x)
         off = np.abs(stretch.online.d_at_sample - self._eq.disturbance_nominal)
         self._rows += len(off)
         self._beyond += (off > _BEYOND_BOUND * self._bound).sum(axis=0)

@@ -146,7 +146,6 @@ def explained_stretch(tuned: Tuned, equations: RowModel, part: Stretch, start: S
         samples = replace(samples, held=held_at_first(equations, about, inputs, passing=True))
     events = Events(outliers=frozenset((int(k), int(i)) for k, i in np.argwhere(said.refused > 0.0)))
     spacing = event_spacing(tuned)
-
     intensity = intensities(tuned, samples.step)
 
     def linearised(trajectory: Array, events: Events) -> ExplainedStretch:
