@@ -22,10 +22,10 @@ import numpy as np
 
 from ndob_fmu.native.runtime_code import ARRAY_FILES
 from ndob_fmu.native.translate import kinds
-from ndob_fmu.native.translate.conversions import c_name
 from ndob_fmu.native.translate.kinds import c_type, is_nd, is_numbers
 from ndob_fmu.native.translate.print_c import Translation
 from ndob_fmu.native.translate.program import Definition
+from ndob_fmu.native.translate.values import c_name
 from ndob_fmu.runtime import base_errors
 from ndob_fmu.runtime.memo import SharedResults
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import copy
 
-from ndob_fmu.native.translate.conversions import Value, c_name
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     FLOAT,
@@ -26,6 +25,7 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.loops import Loops
 from ndob_fmu.native.translate.program import Definition
+from ndob_fmu.native.translate.values import Value, c_name
 
 
 class Assignments(Loops):

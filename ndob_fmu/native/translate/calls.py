@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 
-from ndob_fmu.native.translate.conversions import Value, c_name, entry
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     INT,
@@ -26,6 +25,7 @@ from ndob_fmu.native.translate.library import BY_HAND, FUNCTIONS, OF_NUMBERS, OF
 from ndob_fmu.native.translate.numpy_calls import Named
 from ndob_fmu.native.translate.program import Class, Definition, Module, Parameter
 from ndob_fmu.native.translate.python_calls import PythonCalls
+from ndob_fmu.native.translate.values import Value, c_name, entry
 
 _IDENTITY = ("numbers", "np.asarray", "np.ascontiguousarray")
 

@@ -1,33 +1,24 @@
-"""Values of translated expressions, and how one type becomes another."""
+"""How a value of one type becomes one of another."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ndob_fmu.native.translate.kinds import (
-    ARRAY,
     BOOL,
     FLOAT,
     INT,
     NOTHING,
-    NUMBERS,
-    TEXT,
     Array,
-    ComplexArray,
     Function,
     Kind,
     Listing,
     Maybe,
     Pack,
     Simple,
-    Structure,
     Table,
-    Unknown,
     by_pointer,
     c_type,
     elements_of,
@@ -35,61 +26,9 @@ from ndob_fmu.native.translate.kinds import (
     is_number,
     is_numbers,
 )
-from ndob_fmu.native.translate.program import Class, Definition, Module, Program
+from ndob_fmu.native.translate.program import Definition, Module, Program
 from ndob_fmu.native.translate.refusal import RefusedError, refused
-
-_RESERVED = {"auto", "break", "case", "char", "const", "default", "do", "double", "enum", "extern", "float", "goto"}
-
-
-_RESERVED |= {"inline", "int", "long", "register", "short", "signed", "sizeof", "static", "struct", "switch", "union"}
-
-
-_RESERVED |= {"typedef", "unsigned", "void", "volatile", "arena", "nd", "env", "bool", "true", "false", "exp", "log"}
-
-
-@dataclass(frozen=True)
-class Value:
-    """An expression in C.
-
-    fresh: whether its array belongs to this function alone
-    parts: of an item of several iterations at once, which only a tuple of names takes apart
-    """
-
-    text: str
-    kind: Kind
-    fresh: bool = False
-    parts: tuple[Value, ...] = ()
-
-
-def in_parentheses(condition: str) -> str:
-    """Return a condition in one pair of parentheses; of two around a comparison, clang warns."""
-    depth, first_ends = 0, -1
-    for place, character in enumerate(condition):
-        depth += (character == "(") - (character == ")")
-        if depth == 0:
-            first_ends = place
-            break
-    is_whole = condition.startswith("(") and first_ends == len(condition) - 1
-    return condition if is_whole else f"({condition})"
-
-
-def c_name(name: str) -> str:
-    """Return the name of a variable in C."""
-    return f"{name}_" if name in _RESERVED or name.startswith("_") else name
-
-
-def number_text(value: float) -> str:
-    """Return a constant with all its digits."""
-    if np.isnan(value):
-        return "NAN"
-    if np.isinf(value):
-        return "INFINITY" if value > 0 else "(-INFINITY)"
-    return repr(float(value)) if value >= 0 and not np.signbit(value) else f"({float(value)!r})"
-
-
-def entry(text: str, kind: Kind) -> Value:
-    """Return an entry of an array, which is stored as float, as a number of its type."""
-    return Value(f"(int){text}" if kind == INT else f"({text} != 0.0)" if kind == BOOL else text, kind)
+from ndob_fmu.native.translate.values import Value
 
 
 def _first_entry(array: str) -> str:
@@ -308,57 +247,3 @@ class Conversions:
         if isinstance(value.kind, Pack):
             return str(len(value.kind.elements))
         raise self.no(node, "something that has a length")
-
-    def literal(self, value: Any, node: ast.AST) -> Value:
-        """Return a constant of Python, or of NumPy."""
-        if value is None:
-            return Value("NULL", NOTHING)
-        if isinstance(value, (bool, np.bool_)):
-            return Value("true" if value else "false", BOOL)
-        if isinstance(value, (int, np.integer)):
-            return Value(f"{value}" if value >= 0 else f"({value})", INT)
-        if isinstance(value, (float, np.floating)):
-            return Value(number_text(float(value)), FLOAT)
-        if isinstance(value, str):
-            return Value('"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"', TEXT)
-        if isinstance(value, np.ndarray) and value.ndim <= 4:
-            return self._constant_array(value)
-        if isinstance(value, (tuple, list)):
-            items = [self.literal(item, node) for item in value]
-            kinds = {item.kind for item in items}
-            if len(kinds) == 1:
-                return self.listed(items, Listing(kinds.pop()), node)
-            if kinds <= {FLOAT, INT, BOOL}:
-                return self.listed(items, NUMBERS, node)
-            return self.packed(items, Pack(tuple(item.kind for item in items)), node)
-        raise self.no(node, "a constant number, array or tuple", repr(type(value)))
-
-    def _instance(self, value: Any, known: Class, node: ast.AST) -> Value:
-        """Return a constant that is a dataclass or a named tuple."""
-        kind = Structure(known.name)
-        name = self.temporary(kind)
-        for one in known.fields.values():
-            if not isinstance(one.kind, Unknown):
-                field = self.coerced(self.literal(getattr(value, one.name), node), one.kind, node)
-                self.line(f"{name}.{c_name(one.name)} = {field.text};")
-        return Value(name, kind)
-
-    def _constant_array(self, value: np.ndarray[Any, Any]) -> Value:
-        flat = ", ".join(number_text(float(entry)) for entry in value.ravel()) or "0.0"
-        vector = f"nd_vector(arena, {value.size}, (const double[]){{{flat}}})"
-        if value.ndim != 1:
-            lengths = ", ".join(map(str, value.shape))
-            vector = f"nd_reshape(arena, {vector}, {value.ndim}, (int[]){{{lengths or 1}}})"
-        element = {"b": BOOL, "i": INT}.get(value.dtype.kind, FLOAT)
-        return Value(vector, Array(element), fresh=True)
-
-    def parts_of(self, value: Value) -> list[Value]:
-        """Return the real and the imaginary part of complex numbers."""
-        value = self.held(value)
-        return [Value(f"{value.text}.v0", ARRAY), Value(f"{value.text}.v1", ARRAY)]
-
-    def _complex(self, parts: list[Value]) -> Value:
-        name = self.temporary(ComplexArray())
-        for i, part in enumerate(parts):
-            self.line(f"{name}.v{i} = {part.text};")
-        return Value(name, ComplexArray())

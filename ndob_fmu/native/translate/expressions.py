@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ndob_fmu.native.translate.conversions import Value, c_name, in_parentheses, number_text
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -33,6 +32,7 @@ from ndob_fmu.native.translate.kinds import (
     is_number,
 )
 from ndob_fmu.native.translate.operators import Operators
+from ndob_fmu.native.translate.values import Value, c_name, in_parentheses, number_text
 
 
 class Expressions(Operators):

@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ndob_fmu.native.translate.conversions import Value, c_name
 from ndob_fmu.native.translate.kinds import (
     BOOL,
     FLOAT,
@@ -27,6 +26,7 @@ from ndob_fmu.native.translate.kinds import (
 from ndob_fmu.native.translate.places import placed, without_steps_between
 from ndob_fmu.native.translate.program import Definition, Parameter
 from ndob_fmu.native.translate.statements import GIVE_BACK, Statements
+from ndob_fmu.native.translate.values import Value, c_name
 from ndob_fmu.native.translate.world import World
 
 

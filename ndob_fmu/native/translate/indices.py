@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from typing import NamedTuple
 
-from ndob_fmu.native.translate.conversions import Conversions, Value, entry
+from ndob_fmu.native.translate.constants import Constants
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -25,6 +25,7 @@ from ndob_fmu.native.translate.kinds import (
     is_numbers,
 )
 from ndob_fmu.native.translate.refusal import RefusedError
+from ndob_fmu.native.translate.values import Value, entry
 
 
 class _Index(NamedTuple):
@@ -49,7 +50,7 @@ def is_reversal(node: ast.expr) -> bool:
     return isinstance(node, ast.Slice) and ast.unparse(node) == "::-1"
 
 
-class Indices(Conversions):
+class Indices(Constants):
     """The part of a function's writer that writes subscripts."""
 
     def index_list(self, node: ast.expr) -> list[ast.expr]:

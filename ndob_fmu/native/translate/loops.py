@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from ndob_fmu.native.translate.calls import Calls
-from ndob_fmu.native.translate.conversions import Value, entry
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -25,6 +24,7 @@ from ndob_fmu.native.translate.kinds import (
     is_number,
     is_numbers,
 )
+from ndob_fmu.native.translate.values import Value, entry
 
 _OPERATORS: dict[str, ast.operator] = {"mul": ast.Mult(), "add": ast.Add(), "sub": ast.Sub()}
 _RELATIONS: dict[str, ast.cmpop] = {"ge": ast.GtE(), "gt": ast.Gt(), "le": ast.LtE(), "lt": ast.Lt()}

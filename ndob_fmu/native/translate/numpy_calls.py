@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 
-from ndob_fmu.native.translate.conversions import Value
 from ndob_fmu.native.translate.expressions import Expressions
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
@@ -23,6 +22,7 @@ from ndob_fmu.native.translate.kinds import (
     is_number,
 )
 from ndob_fmu.native.translate.library import OF_NUMBERS, REDUCTIONS, Known
+from ndob_fmu.native.translate.values import Value
 
 Named = dict[str, ast.expr]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 
-from ndob_fmu.native.translate.conversions import Value, in_parentheses
 from ndob_fmu.native.translate.indices import Indices
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
@@ -23,6 +22,7 @@ from ndob_fmu.native.translate.kinds import (
     is_number,
     is_numbers,
 )
+from ndob_fmu.native.translate.values import Value, in_parentheses
 
 _ARRAY_OPERATIONS = {ast.Add: "ADD", ast.Sub: "SUB", ast.Mult: "MUL", ast.Div: "DIV", ast.Pow: "POW"}
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ndob_fmu.native.translate.conversions import c_name
 from ndob_fmu.native.translate.functions import Writer
 from ndob_fmu.native.translate.kinds import (
     NOTHING,
@@ -30,6 +29,7 @@ from ndob_fmu.native.translate.kinds import (
 from ndob_fmu.native.translate.program import Definition, Program
 from ndob_fmu.native.translate.refusal import RefusedError
 from ndob_fmu.native.translate.storage import copy_heads, form_heads, movers, storage
+from ndob_fmu.native.translate.values import c_name
 from ndob_fmu.native.translate.world import World
 
 _PREDEFINED = ("nd", "nd_two", "nd_three", "nd_list", "nd_names", "nd_slice")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 
-from ndob_fmu.native.translate.conversions import Value
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -27,6 +26,7 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.library import REDUCTIONS
 from ndob_fmu.native.translate.numpy_calls import Named, NumpyCalls
+from ndob_fmu.native.translate.values import Value
 
 
 def _escaped(text: str) -> str:

@@ -10,7 +10,6 @@ import re
 from collections.abc import Sequence
 
 from ndob_fmu.native.translate.assignments import Assignments
-from ndob_fmu.native.translate.conversions import c_name, in_parentheses
 from ndob_fmu.native.translate.kinds import (
     INT,
     NOTHING,
@@ -22,6 +21,7 @@ from ndob_fmu.native.translate.kinds import (
     word,
 )
 from ndob_fmu.native.translate.library import ERRORS
+from ndob_fmu.native.translate.values import c_name, in_parentheses
 from ndob_fmu.native.translate.world import World, holds_memory, keeper
 
 _RELEASE = "/* release "

@@ -12,7 +12,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ndob_fmu.native.translate.conversions import c_name
 from ndob_fmu.native.translate.kinds import (
     ARRAY,
     BOOL,
@@ -34,6 +33,7 @@ from ndob_fmu.native.translate.kinds import (
 )
 from ndob_fmu.native.translate.program import Program
 from ndob_fmu.native.translate.refusal import RefusedError
+from ndob_fmu.native.translate.values import c_name
 from ndob_fmu.native.translate.world import holds_memory, keeper
 
 
