@@ -53,7 +53,7 @@ AT, LATER = 600, 200  # the sample from which on it is stuck, and the samples af
 class Run:
     """Errors of d̂, their bars, over D₀, and `valid` along a record in which an output is stuck for a while."""
 
-    def __init__(self, name, *, output, value, length, seed):
+    def __init__(self, name, *, output, value, length, seed, noise=0.0):
         model, (u, d), H, told, order, bound, rate, uncertain = PLANTS[name]
         rows = AT + length + LATER
         eq, p = compile_model(model), model.parameter_values()
@@ -64,6 +64,7 @@ class Run:
                 x = x + H / 8 * np.array(eq.derivatives(x.tolist(), [u(k * H)], [d((k + i / 8) * H)], p))
         samples = np.array(Y)
         samples[AT : AT + length, output] = samples[AT - 1, output] if value is None else value
+        samples[AT : AT + length, output] += noise * told[output] * random.standard_normal(length)
         observer = sampled_observer(
             eq,
             p,
@@ -90,6 +91,16 @@ class Run:
 def test_the_estimate_does_not_follow_a_stuck_sensor(name, output, length, value, seed):
     """A frozen pressure was followed to an error of 200 error bars with `valid` true."""
     run = Run(name, output=output, value=value, length=length, seed=seed)
+    for part in (run.stuck, run.later):
+        assert np.sum(run.valid[part] & (run.error[part] > 5.0 * run.std[part]) & (run.error[part] > 0.02)) <= 1
+    assert np.max(run.error[run.later][60:]) <= 0.1
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("name", "output", "length"), [("winch", 1, 700), ("tanks", 0, 300), ("tanks", 1, 300)])
+def test_the_estimate_does_not_follow_a_dead_sensor_that_shows_its_noise(name, output, length, seed):
+    """The covariance was raised until the samples were believed, though the other sensor agreed with the estimate."""
+    run = Run(name, output=output, value=0.0, length=length, seed=seed, noise=1.0)
     for part in (run.stuck, run.later):
         assert np.sum(run.valid[part] & (run.error[part] > 5.0 * run.std[part]) & (run.error[part] > 0.02)) <= 1
     assert np.max(run.error[run.later][60:]) <= 0.1

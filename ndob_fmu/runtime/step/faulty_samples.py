@@ -64,6 +64,9 @@ def judge(
     doubtful: float,
     again: bool,
     starting: bool,
+    broken: bool,
+    settled: bool,
+    change: float,
 ) -> Judgement:
     """Judge a sample with the innovation e, e²/α = `squared`, whose noise has a variance.
 
@@ -71,6 +74,9 @@ def judge(
     repeat_rate: how often good samples do
     outlier_rate, doubtful: as in `SensorMemory`
     again: whether a fault has been found in this sample, or in the last one of this output
+    broken: whether its sensor is, whose samples then have the last one as their mean
+    settled: whether a jump that explains why would have shown by now
+    change: from the last one
     """
     share = _REPEATED if repeats else min(_LEAST + _TIMES * (outlier_rate + _BURST * doubtful), _MOST)
     odds = _LOG_ODDS_AGAIN if again else log(share / (1.0 - share))
@@ -84,7 +90,10 @@ def judge(
         usual = max(_log_density(e, alpha, alpha + more * variance) for more in _OUTLIERS) - log(len(_OUTLIERS))
         of_any_size = _log_density(e, alpha, max(e * e, alpha)) + _LOG_ANY_SIZE
         faulty = odds + max(usual, of_any_size)
-    return Judgement(refused=faulty > good, if_good=good, if_faulty=faulty)
+    # That the sensor is broken is no reason against a jump at first: what a jump explains is one.
+    stays = _log_density(change, alpha, 2.0 * variance) if broken and not repeats else faulty
+    stays = max(faulty, stays)
+    return Judgement(refused=stays > good, if_good=good, if_faulty=stays if settled else faulty)
 
 
 def _log_density(e: float, alpha: float, variance: float) -> float:

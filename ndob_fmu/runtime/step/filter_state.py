@@ -51,6 +51,8 @@ class SensorMemory:
     fine: changes from one sample to the next, of about the noise or less, in which noise showed; halved by each repeat
         that is used, counted up to a limit.
     in_a_row: logarithm of the probability that a good sensor repeats its sample as often as this one just did.
+    broken: whether the sensor jumped away from its prediction and has stood still since.
+    broke_at, expected: the sample with which it did, and its prediction.
     refused: whether the last sample was refused.
     debt: how improbable the refused samples are, in nats; falls with each sample that is used.
     skipped, drift: mean square and mean of the innovations that were refused.
@@ -71,6 +73,9 @@ class SensorMemory:
     multiples: float = 0.0
     fine: float = 0.0
     in_a_row: float = 0.0
+    broken: bool = False
+    broke_at: float = 0.0
+    expected: float = 0.0
     refused: bool = False
     debt: float = 0.0
     skipped: float = 0.0
@@ -204,6 +209,8 @@ def _is_possible_sensor(sensor: SensorMemory) -> bool:
         and 0.0 <= sensor.usual < inf
         and 0.0 <= sensor.waited < inf
         and 0.0 <= sensor.interval < inf
+        and isfinite(sensor.broke_at)
+        and isfinite(sensor.expected)
         and isfinite(sensor.skipped)
         and isfinite(sensor.drift)
         and isfinite(sensor.mean)

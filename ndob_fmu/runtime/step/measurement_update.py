@@ -35,12 +35,14 @@ from ndob_fmu.runtime.step.jump_bank import (
 )
 from ndob_fmu.runtime.step.prediction import Prediction, predicted
 from ndob_fmu.runtime.step.sensor_memory import (
+    SETTLED,
     Innovation,
     after_jump,
     after_refused,
     after_used,
     goes_on,
     in_a_row,
+    is_still_broken,
     latest_mean,
 )
 
@@ -130,9 +132,13 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
         told = explained(now.jumps, _of_jumps(now, seen), seen.e, seen.alpha)
         far = seen.squared > SUSPICIOUS**2
         suspicious = suspicious or far
-        before, mean = sensors[i], sensors[i].mean if stuck else latest_mean(sensors[i], seen.e, seen.alpha)
+        before, change = sensors[i], y[i] - state.sample[i]
+        # Where no other sensor agrees with the estimate, it may as well be that one that is wrong.
+        agreed = any(not other.refused for j, other in enumerate(memory.sensors) if j != i)
+        broken = agreed and is_still_broken(before, y[i], change, seen.e, seen.noise)
+        mean = before.mean if stuck or broken else latest_mean(before, seen.e, seen.alpha)
         refused = None
-        if memory.age > 0 and (far or stuck):
+        if memory.age > 0 and (far or stuck or broken):
             verdict = judge(
                 seen.squared,
                 seen.e,
@@ -144,10 +150,13 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
                 doubtful=before.doubtful,
                 again=fault or (before.refused and repeats[i]),
                 starting=starting,
+                broken=broken,
+                settled=broken and before.debt >= SETTLED,
+                change=change,
             )
             if verdict.refused and starting and not repeats[i] and seen.alpha > seen.noise:
                 now, seen = _with_larger_error(model, now, seen)
-            elif verdict.refused and (repeats[i] or not goes_on(before, seen.e, seen.alpha)):
+            elif verdict.refused and (repeats[i] or broken or not goes_on(before, seen.e, seen.alpha)):
                 refused, fault = verdict, True
         tells = Innovation(
             e=seen.e,
@@ -155,7 +164,8 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             noise=seen.noise,
             told=variances[i],
             mean=mean,
-            change=y[i] - state.sample[i],
+            value=y[i],
+            change=change,
             repeats=repeats[i],
             learns=learns,
         )
@@ -170,17 +180,20 @@ def measure(model: FilterModel, xi: Array, state: SampledObserverState, memory: 
             now = now._replace(
                 jumps=if_refused(now.jumps, told, refused.if_good + 0.5 * seen.squared, refused.if_faulty)
             )
-            if not repeats[i]:
+            if not (repeats[i] or broken):
                 # Little of an outlier is used; more of a sample that only a wrong estimate makes look like one.
                 weak = seen.squared / SUSPICIOUS**2 * seen.alpha
                 now, _ = _corrected(model, now, seen, place, weak - seen.alpha)
-            sensors[i] = after_refused(before, tells, refused.if_faulty, stuck=stale)
+            sensors[i] = after_refused(before, tells, refused.if_faulty, stuck=stale, broken=broken)
     now = now._replace(jumps=one_more_sample(now.jumps))
     added = mixture(now.jumps, now.columns.signatures)
     if added.certain:
         now = _with_jump(model, now)
-        used = [one and not is_stuck(alike[i]) for i, one in enumerate(prediction.measured)]
-        sensors = [after_jump(sensor, measured=one) for sensor, one in zip(sensors, used, strict=True)]
+        used = [
+            one and not is_stuck(alike[i]) and (_is_explained(now, xi, prediction, i) or not sensors[i].broken)
+            for i, one in enumerate(prediction.measured)
+        ]
+        sensors = [after_jump(sensor, used=one) for sensor, one in zip(sensors, used, strict=True)]
         added = mixture(now.jumps, now.columns.signatures)
     return Measured(
         xi=now.xi,
@@ -202,6 +215,15 @@ def _sight(row: Array, columns: ErrorColumns, e: float, noise: float) -> _Sight:
     of_factor = across[: columns.factor_count]
     alpha = float(of_factor @ of_factor) + noise
     return _Sight(row, across, e, alpha, noise, e * e / alpha)
+
+
+def _is_explained(now: _Estimate, before: Array, prediction: Prediction, i: int) -> bool:
+    """Return whether the estimate with a jump explains the sample of an output, predicted from ξ̂ before (rows,)."""
+    row = prediction.rows[i]
+    if row is None:
+        return False
+    e = prediction.innovation[i] - float(row @ (now.xi - before))
+    return _sight(row, now.columns, e, prediction.noise[i]).squared <= SUSPICIOUS**2
 
 
 def _of_jumps(now: _Estimate, seen: _Sight) -> Array:

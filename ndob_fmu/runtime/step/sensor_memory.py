@@ -27,6 +27,14 @@ _OUTLIER_MEMORY, _DOUBT = 300.0, 10.0
 # An innovation follows the one before that is not smaller by more than this factor. What a refused sample left counts
 # as one before up to so many standard deviations. Innovations that are too large on average are too large as a rule.
 _FOLLOWS, _NEAR, _RULE = 2.5, 10.0, 2.0
+# A sensor breaks where its sample is further from the prediction than so many standard deviations, and so many times as
+# far as the prediction is from the sample before: no equation that is somewhat wrong does that in one step.
+_FAR, _AWAY = 10.0, 5.0
+# A jump of the disturbance that explains the samples has shown before they are so improbable, in nats.
+SETTLED = 40.0
+# It is broken while each sample is within so many standard deviations of the noise from the one before, and it has not
+# moved by the second number of them as its prediction has, to this part of that.
+_NEAR_BEFORE, _MOVED, _ALONG = 4.0, 6.0, 0.5
 # A change of at most so many standard deviations of the noise would be none if the sensor were rounded. The noise shows
 # where the innovation changes by the second number of them. So many such changes are counted.
 _SMALL, _NOISE, _FINE = 2.0, 0.5, 100.0
@@ -61,6 +69,24 @@ def in_a_row(sensor: SensorMemory, noise: float) -> float:
     return sensor.in_a_row + log(max(sensor.repeat_rate, 1.0 / (1.0 + sensor.fine), of_rounding_alike))
 
 
+def _jumps_away(sample: Innovation) -> bool:
+    """Return whether a sensor breaks: it jumps where neither the plant's motion nor a wrong equation explains it."""
+    e = sample.e
+    return e * e > _FAR**2 * sample.alpha and abs(e) > _AWAY * abs(sample.change - e)
+
+
+def is_still_broken(sensor: SensorMemory, value: float, change: float, e: float, noise: float) -> bool:
+    """Return whether a sensor that broke stands still, with a sample of a value that changed, and its innovation e.
+
+    One that moves as predicted is not broken: it, or the plant, was moved by hand.
+
+    noise: its variance
+    """
+    moved, predicted = value - sensor.broke_at, value - e - sensor.expected
+    along = abs(moved) > _MOVED * sqrt(noise) and abs(moved - predicted) < _ALONG * abs(moved)
+    return sensor.broken and abs(change) <= _NEAR_BEFORE * sqrt(2.0 * noise) and not along
+
+
 def _shows_noise(sensor: SensorMemory, sample: Innovation) -> bool:
     """Return whether a change would have been none with a rounded sensor, and shows noise.
 
@@ -82,6 +108,7 @@ class Innovation:
     e, alpha: the innovation and its variance
     noise, told: the variance of the noise, as the filter has it and as it was told
     mean: as `latest_mean`
+    value: of the sample
     change: from the sample before, NaN for the first one
     repeats: whether the sample repeats the one before
     learns: whether the start is over
@@ -92,6 +119,7 @@ class Innovation:
     noise: float
     told: float
     mean: float
+    value: float
     change: float
     repeats: bool
     learns: bool
@@ -118,6 +146,9 @@ def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> Sen
         multiples=multiples,
         fine=0.5 * sensor.fine if sample.repeats else min(sensor.fine + _shows_noise(sensor, sample), _FINE),
         in_a_row=in_a_row(sensor, sample.noise) if sample.repeats else 0.0,
+        broken=False,
+        broke_at=0.0,
+        expected=0.0,
         refused=False,
         debt=sensor.debt * _DEBT_LEFT,
         skipped=sensor.skipped,
@@ -131,32 +162,40 @@ def after_used(sensor: SensorMemory, sample: Innovation, residual: float) -> Sen
     )
 
 
-def after_refused(sensor: SensorMemory, sample: Innovation, if_faulty: float, *, stuck: bool) -> SensorMemory:
+def after_refused(
+    sensor: SensorMemory, sample: Innovation, if_faulty: float, *, stuck: bool, broken: bool
+) -> SensorMemory:
     """Return the memory after a sample that was refused.
 
     if_faulty: logarithm of its probability
     stuck: whether a sensor of this sample is stuck
+    broken: whether this one is broken, as `is_still_broken`
     """
     e, fresh = sample.e, sensor.debt == 0.0
+    debt = sensor.debt + (0.0 if sample.repeats else min(max(-if_faulty, 0.0), _MOST_DEBT))
+    breaks = sample.learns and not broken and not sample.repeats and _jumps_away(sample)
     near = sample.e**2 <= _NEAR**2 * sample.alpha
     repeat_rate = _repeat_rate(sensor, sample.repeats)
     resolution, multiples = _common_step(sensor, sample, repeat_rate)
     rounding = of_rounding(resolution, multiples, repeat_rate)
     ratio, counted = _followed(sensor, sample, e, rounding)
-    if stuck:
+    if stuck or broken:
         ratio = max(sensor.noise_ratio, rounding / sample.told) if sample.learns else sensor.noise_ratio
     return SensorMemory(
         noise_ratio=ratio,
         counted=counted,
         repeat_rate=repeat_rate,
         outlier_rate=sensor.outlier_rate,
-        doubtful=sensor.doubtful + (not sample.repeats),
+        doubtful=sensor.doubtful + (not (sample.repeats or broken)),
         resolution=resolution,
         multiples=multiples,
         fine=sensor.fine,
         in_a_row=sensor.in_a_row if sample.repeats else 0.0,
+        broken=breaks or broken,
+        broke_at=sample.value if breaks else sensor.broke_at,
+        expected=sample.value - e if breaks else sensor.expected,
         refused=True,
-        debt=sensor.debt + (0.0 if sample.repeats else min(max(-if_faulty, 0.0), _MOST_DEBT)),
+        debt=min(debt, SETTLED) if broken else debt,
         skipped=e * e if fresh else 0.5 * (sensor.skipped + e * e),
         drift=e if fresh else 0.5 * (sensor.drift + e),
         mean=sample.mean,
@@ -184,9 +223,14 @@ def _followed(sensor: SensorMemory, sample: Innovation, residual: float, roundin
     return max(ratio, rounding / told), counted
 
 
-def after_jump(sensor: SensorMemory, *, measured: bool) -> SensorMemory:
-    """Return the memory once a jump is certain: what looked like an outlier was the jump, whose size it has told."""
-    return replace(sensor, mean=0.0, debt=0.0, doubtful=0.0, refused=False, waited=0.0 if measured else sensor.waited)
+def after_jump(sensor: SensorMemory, *, used: bool) -> SensorMemory:
+    """Return the memory once a jump is certain: what looked like an outlier was the jump, whose size it has told.
+
+    used: whether the sample was
+    """
+    broken, waited = sensor.broken and not used, 0.0 if used else sensor.waited
+    debt = sensor.debt if broken else 0.0
+    return replace(sensor, mean=0.0, debt=debt, doubtful=0.0, refused=False, broken=broken, waited=waited)
 
 
 def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
@@ -201,6 +245,9 @@ def at_end_of_step(sensor: SensorMemory, H: float) -> SensorMemory:
         multiples=sensor.multiples,
         fine=sensor.fine,
         in_a_row=sensor.in_a_row,
+        broken=sensor.broken,
+        broke_at=sensor.broke_at,
+        expected=sensor.expected,
         refused=sensor.refused,
         debt=sensor.debt,
         skipped=sensor.skipped,
