@@ -162,6 +162,8 @@ def _fit_text(found: Fitted, units: Mapping[str, str]) -> str:
     jumps = f" and jumps ({found.jumps} times in {found.rows} rows)" if found.is_jumping else ""
     held = found.held_out_values
     judged = ", ".join(f"order {order} {value:.4f}" for order, value in held.items() if value is not None)
+    if judged and not is_one:
+        judged += f", these orders {found.held_out_value:.4f}"
     lines = [
         f"{found.rows} rows, along which the {found.build} observer ran",
         f"noise_std: {each(found.noise_std)}; {found.outliers} outliers",

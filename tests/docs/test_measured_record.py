@@ -76,10 +76,25 @@ def made(tmp_path_factory):
 def test_the_script_finds_the_pulses_of_a_made_record_and_writes_its_page(made, tmp_path, monkeypatch, capsys):
     """`fit` takes seconds and has tests of its own."""
     values = {"position_noise_std": 1e-7, "disturbance_order": 1, "disturbance_rate": 1e3, "lag": 0.02}
-    told = dict.fromkeys(FREE, Told(1.0, 0.1))
+    told, noise = dict.fromkeys(FREE, Told(1.0, 0.1)), {"position": Told(1e-7, 1e-9)}
     maps = {"force": LearnedMap(("friction of velocity",), 4.0, 1.0)}
     fitted = Fitted(
-        "Python", 560, 240, 1, True, 0, 0, {"position": Told(1e-7, 1e-9)}, {}, told, maps, {}, ("a line",), values
+        build="Python",
+        rows=560,
+        held_out=240,
+        order=1,
+        orders={"force": 1},
+        is_jumping=True,
+        jumps=0,
+        outliers=0,
+        noise_std=noise,
+        intensity={},
+        parameters=told,
+        maps=maps,
+        held_out_values={},
+        held_out_value=None,
+        warnings=("a line",),
+        start_values=values,
     )
     monkeypatch.setattr("benchmarks.emps.__main__.fit_log", lambda *_, **__: fitted)
     assert main([str(made), "--out", str(tmp_path)]) == 0

@@ -1,6 +1,7 @@
 """Disturbances of different kinds in one log: each has the order that it needs."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -69,6 +70,14 @@ def test_a_disturbance_that_wanders_beside_a_smooth_one_has_error_bars_that_hold
         assert np.mean(online < 2.0 * said[f"observer.{name}_std"][1:]) > 0.88
 
 
+@pytest.mark.parametrize(("kinds", "seed"), [("ws", 3), ("ws", 4), ("sw", 4), ("sw", 6)])
+def test_a_short_log_tells_each_order_where_its_held_out_rows_alone_do_not(tmp_path, kinds, seed):
+    """One disturbance of two moves less of a log than both; 300 rows do not tell its order for sure, 1000 do."""
+    model, log, _ = made(tmp_path, "greenhouse", kinds, seed, rows=1000)
+    found = fit_log(model, log, tmp_path / "fit")
+    assert [*found.orders.values()] == [{"s": 2, "w": 1}[kind] for kind in kinds]
+
+
 def test_fit_says_of_each_disturbance_how_it_moves(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, log, _ = made(tmp_path, "greenhouse", "sw", seed=4)
@@ -77,3 +86,5 @@ def test_fit_says_of_each_disturbance_how_it_moves(tmp_path, capsys, monkeypatch
     assert main(["fit", str(file), str(log), "--out", "fit"]) == 0
     said = capsys.readouterr().out
     assert "sun is smooth, vapour wanders: disturbance_order 2; disturbance_own_order sun 2, vapour 1" in said
+    of_all, of_these = (re.search(rf"{what} (-?[0-9.]+)", said) for what in ("held-out rows: order 1", "these orders"))
+    assert float(of_these[1]) > float(of_all[1])

@@ -53,6 +53,7 @@ class Fitted:
     maps: what was learned of the maps of the disturbances
     held_out_values: log-likelihood of a held-out sample for each order of all disturbances; None where no row is held
         out
+    held_out_value: the same for the orders that were chosen
     warnings: what in the log does not look like the model's signals, and what the log does not tell
     start_values: for fit.json
     """
@@ -70,6 +71,7 @@ class Fitted:
     parameters: Mapping[str, Told]
     maps: Mapping[str, LearnedMap]
     held_out_values: Mapping[int, float | None]
+    held_out_value: float | None
     warnings: tuple[str, ...]
     start_values: Mapping[str, Any]
 
@@ -123,6 +125,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         best = best_order(fits)
         raised |= _raised_bounds(setup, best)
     setup, best = with_own_orders(setup, run, best)
+    held_out_value = best.held_out.of_a_sample
     setup, held_out = setup.with_values(raised), run.rows - best.problem.trained
     if held_out:
         setup, best = _with_all_rows(setup, run, best)
@@ -165,6 +168,7 @@ def _fitted(setup: Setup, run: Run, given: Mapping[str, Any]) -> Fitted:
         parameters=parameters,
         maps=maps.maps,
         held_out_values={order: fit.held_out.of_a_sample for order, fit in fits.items()},
+        held_out_value=held_out_value,
         warnings=tuple(warnings),
         start_values={**found, **setup.named("disturbance_rate", rates)},
     )
