@@ -6,7 +6,7 @@ the parameters take a step (`parameter_step`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -15,16 +15,16 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from ndob_fmu.log.fit.between_jumps import jump_sizes, raised
 from ndob_fmu.log.fit.likelihood import Moved, likelihood
 from ndob_fmu.log.fit.noise_fit import NoiseFit, NoiseLikelihood, fit_noise, is_jumping
 from ndob_fmu.log.fit.parameter_step import Step
 from ndob_fmu.log.fit.problem import Linearised, Problem
-from ndob_fmu.log.fit.rare import are_usual, usual_std
+from ndob_fmu.log.fit.rare import are_usual
 from ndob_fmu.log.smooth.along import in_layout
 from ndob_fmu.log.smooth.event_search import explained
 from ndob_fmu.log.smooth.events import Events, Explained, with_events
 from ndob_fmu.log.smooth.linear_record import Smoothed
-from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.support.progress import go_on
 
@@ -36,18 +36,8 @@ _SAME_IN_STD, _SAME = 0.1, 0.02
 _LESS = 0.5
 # A step of a parameter, at most, in its prior standard deviations.
 _LONGEST_STEP = 0.5
-# Error bars hold where nine of ten errors are within two of them: those of a normal number are within 1.64 standard
-# deviations.
-_OF_STD = 1.64 / 2.0
-# They are raised until they are within this factor of what is needed.
-_HOLDS, _MOST_RAISES = 0.95, 8
-# By what power of a factor on the intensity the variance of d̂ grows, about.
-_POWER = 0.75
 # Factors on the intensity with which jumps of held-out rows are found.
 _LIVELY = (1e8, 1e5, 1e3, 10.0, 1.0)
-# What wanders by more than this part of a jump is jumps that were too small to be found. A jump is seen in full so many
-# rows beside it.
-_SMALL, _BESIDE = 0.25, 2
 # Within so many rows a disturbance is hardly told.
 _CLOSE = 10
 
@@ -118,7 +108,7 @@ class ClassFit:
     @cached_property
     def raised(self) -> Array:
         """The factor on the intensity (q2,) with which the error bars hold."""
-        return _raised(self.about, self.noise) if self.is_jumping else np.ones(len(self.noise.log_intensity))
+        return raised(self.about, self.noise) if self.is_jumping else np.ones(len(self.noise.log_intensity))
 
     @property
     def judged(self) -> float:
@@ -136,7 +126,7 @@ class ClassFit:
     @property
     def residuals(self) -> Array:
         """Innovations (K,p) over their standard deviations, behind the start; NaN where nothing was measured."""
-        run = with_events(_whole(self.about, self.noise), self.about.columns, self.events).forward
+        run = with_events(self.about.whole(self.noise), self.about.columns, self.events).forward
         there = np.isfinite(run.alpha)
         known = np.where(there, run.innovation / np.sqrt(np.where(there, run.alpha, 1.0)), np.nan)
         return np.asarray(known[self.problem.rows.model.start_samples :])
@@ -172,7 +162,7 @@ class ClassFit:
         if not self.is_jumping:
             return np.zeros(len(self.noise.log_intensity))
         between = float(self.problem.samples.step[: self.problem.trained - 1].sum()) / len(jumps)
-        sizes = _jump_sizes(self.trajectory[:, self.problem.layout.disturbance], jumps)
+        sizes = jump_sizes(self.trajectory[:, self.problem.layout.disturbance], jumps)
         return np.asarray(sizes.mean(axis=0) / between**self.order)
 
     @property
@@ -250,7 +240,7 @@ def _explained(known: Linearised, noise: NoiseFit, events: Events) -> Explained:
     events: to begin with
     """
     search = known.search(slice(None))
-    return explained(_whole(known, noise), search.columns, search.spacing, search.first, events)
+    return explained(known.whole(noise), search.columns, search.spacing, search.first, events)
 
 
 def _held_out(about: Linearised, noise: NoiseFit) -> HeldOut:
@@ -265,52 +255,6 @@ def _held_out(about: Linearised, noise: NoiseFit) -> HeldOut:
         events = search.within(faster.cut(held, problem.layout), events)
     value = likelihood(Moved(told, search.columns), [], events).value - events.costs
     return HeldOut(value, int(np.isfinite(held.whole.misfit).sum()), events)
-
-
-def _whole(known: Linearised, noise: NoiseFit) -> WholeRecord:
-    return WholeRecord(noise.applied(known.record, known.problem.layout))
-
-
-def _raised(known: Linearised, noise: NoiseFit) -> Array:
-    """Return the factors on the intensities (q2,) with which the error bars hold what wanders between jumps.
-
-    A disturbance that jumps stays where it is in between. What wanders there is what the model lacks, as a friction
-    that changes along the way. Samples tell it well, but it is an error of the disturbance from outside, beside that of
-    the estimate.
-    """
-    problem, places = known.problem, known.problem.layout.disturbance
-    factors, needed = np.ones(len(noise.log_intensity)), np.zeros(len(noise.log_intensity))
-    for turn in range(_MOST_RAISES):
-        told = replace(noise, log_intensity=noise.log_intensity + np.log(factors))
-        found = with_events(_whole(known, told), known.columns, noise.events)
-        change, variance = Smoothed(found.forward, found.adjoint).some(places)
-        if turn == 0:
-            smooth, jumps = known.trajectory[:, places] + change, sorted(found.events.jumps)
-            needed = _OF_STD * np.minimum(
-                _wanders(smooth, problem.rows.model.start_samples, jumps),
-                _SMALL * np.median(_jump_sizes(smooth, jumps), axis=0),
-            )
-        std = np.sqrt(np.median(variance, axis=0))
-        if np.all(std >= _HOLDS * needed):
-            break
-        factors = np.maximum(factors * (needed / std) ** (2.0 / _POWER), factors)
-    return factors
-
-
-def _jump_sizes(disturbance: Array, jumps: Sequence[int]) -> Array:
-    """Return the sizes (·,q2) of jumps of smoothed disturbances (K,q2)."""
-    after, before = (np.clip(np.array(jumps) + side * _BESIDE, 0, len(disturbance) - 1) for side in (1, -1))
-    return np.asarray(np.abs(disturbance[after] - disturbance[before]))
-
-
-def _wanders(disturbance: Array, first: int, jumps: Sequence[int]) -> Array:
-    """Return the standard deviation (q2,) of disturbances (K,q2) about their means between jumps, by the median.
-
-    A jump that is too small to be found would count in a root mean square.
-    """
-    parts = np.split(disturbance[first:], [k - first for k in jumps if k > first])
-    about_means = np.concatenate([part - part.mean(axis=0) for part in parts if len(part)])
-    return usual_std(about_means)
 
 
 def _disturbance(problem: Problem, trajectory: Array) -> Array:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ndob_fmu.log.fit.noise_columns import in_few_columns
-from ndob_fmu.log.fit.noise_fit import EventSearch
+from ndob_fmu.log.fit.noise_fit import EventSearch, NoiseFit
 from ndob_fmu.log.smooth.along import Course, Samples, Start
 from ndob_fmu.log.smooth.events import Jumps
 from ndob_fmu.log.smooth.linear_record import LinearRecord
 from ndob_fmu.log.smooth.pieces import CutRecord, parts_of, side_by_side
 from ndob_fmu.log.smooth.row_model import RowModel
 from ndob_fmu.log.smooth.row_steps import StepPlan
+from ndob_fmu.log.smooth.whole_record import WholeRecord
 from ndob_fmu.runtime.arrays import Array
 from ndob_fmu.runtime.step.layout import Layout
 
@@ -102,6 +103,10 @@ class Linearised:
         kept = slice(first, first + int(pieces.own[-1]))
         some = self.record.some(kept, np.zeros(len(wide)), np.diag(wide))
         return CutRecord(some, pieces, parts_of(some, pieces, wide)), self.search(kept)
+
+    def whole(self, noise: NoiseFit) -> WholeRecord:
+        """Return all rows as one record, with a noise and a pace."""
+        return WholeRecord(noise.applied(self.record, self.problem.layout))
 
     def search(self, rows: slice) -> EventSearch:
         """Return where events may be in some rows."""
