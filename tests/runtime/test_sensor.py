@@ -241,6 +241,8 @@ def test_every_state_it_comes_to_is_possible_and_others_are_not():
     assert not device.possible(changed(values=state.values[1:]), t)
     assert not device.possible(changed(index=-1.0), t)
     assert not device.possible(changed(index=0.5), t)
+    assert not device.possible(changed(good=-math.inf), t)
+    assert not device.possible(changed(shown=math.inf), t)
 
 
 def test_a_sample_time_of_more_samples_than_can_be_counted_is_refused():

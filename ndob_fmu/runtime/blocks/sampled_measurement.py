@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import floor, isfinite, nan, ulp
+from math import floor, isfinite, isinf, nan, ulp
 
 from ndob_fmu.runtime.base_errors import IntegrationError
 from ndob_fmu.runtime.blocks.random_numbers import normal, uniforms
@@ -126,4 +126,5 @@ def is_possible(state: SampledState) -> bool:
     times = state.times
     ascending = all(isfinite(time) for time in times) and all(first <= second for first, second in pairwise(times))
     in_range = 0.0 <= state.index <= _LARGEST_INDEX and state.index == float(floor(state.index))
-    return len(times) == len(state.values) and ascending and in_range and isfinite(state.start_time)
+    shows = not isinf(state.good) and not isinf(state.shown)
+    return len(times) == len(state.values) and ascending and in_range and isfinite(state.start_time) and shows
