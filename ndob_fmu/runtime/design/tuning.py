@@ -190,6 +190,11 @@ def from_pi(system: Augmented, H: float, pi: float, known: Knowledge) -> Intensi
 def bandwidth_of(system: Augmented, H: float, intensity: float, known: Knowledge) -> float:
     """Return the bandwidth (rad/s) that an intensity on the first disturbance asks for; see `at_bandwidth`."""
     degree, gain = response_to_d(system, known.R_factor)
+    return _asked_for(system, H, intensity, degree, gain)
+
+
+def _asked_for(system: Augmented, H: float, intensity: float, degree: int, gain: float) -> float:
+    """Return the bandwidth (rad/s) for an intensity behind a channel of relative degree ρ with gain g."""
     return float((intensity * gain**2 / H) ** (0.5 / (system.order + degree)))
 
 
@@ -199,7 +204,7 @@ def each_bandwidth(system: Augmented, H: float, intensities: Array, known: Knowl
     for j in range(1, len(found)):
         degree, gain = first_response(system, known.R_factor, system.linear.G_d[:, j])
         if degree:
-            found[j] = (intensities[j] * gain**2 / H) ** (0.5 / (system.order + degree))
+            found[j] = _asked_for(system, H, float(intensities[j]), degree, gain)
     return found
 
 
