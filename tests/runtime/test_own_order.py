@@ -16,7 +16,7 @@ def observer(own_order):
 
 
 def std_after(own_order, steps=600):
-    """Return the error bars (q2,) of d̂ after samples of a plant at rest."""
+    """Return the error bars (q2,) of d̂ after samples of a plant that stands still."""
     one = observer(own_order)
     state = one.init(EQ.xhat0)
     for _ in range(steps):
