@@ -150,10 +150,7 @@ class ClassFit:
     @property
     def usual_rms(self) -> float:
         """Of the smoothed disturbances where they are not rare and large, as pulses."""
-        d = self.disturbance / self.problem.rows.model.bound
-        usual = are_usual(d)
-        squares = (np.where(usual, d, 0.0) ** 2).sum(axis=0) / np.maximum(usual.sum(axis=0), 1)
-        return float(np.sqrt(squares.mean()) * self.problem.rows.model.bound[0])
+        return _rms_of(self.problem, self.disturbance, are_usual(self.disturbance))
 
     @property
     def jumping_rate(self) -> Array:
@@ -271,8 +268,14 @@ def _told_rows(problem: Problem, trajectory: Array, events: Events) -> NDArray[n
 
 def _rms(problem: Problem, trajectory: Array, events: Events) -> float:
     """Return the root mean square of disturbances (K,q2), each over its bound, in the unit of the first one."""
-    bound, told = problem.rows.model.bound, _told_rows(problem, trajectory, events)
-    return float(np.sqrt(np.mean((_disturbance(problem, trajectory)[told] / bound) ** 2)) * bound[0])
+    return _rms_of(problem, _disturbance(problem, trajectory), _told_rows(problem, trajectory, events)[:, None])
+
+
+def _rms_of(problem: Problem, disturbance: Array, counts: NDArray[np.bool_]) -> float:
+    """Return the root mean square of those entries of disturbances (R,q2) that count, as `_rms`."""
+    bound = problem.rows.model.bound
+    squares = np.mean((disturbance / bound) ** 2, axis=0, where=counts)
+    return float(np.sqrt(squares.mean()) * bound[0])
 
 
 def _same(before: NoiseFit, after: NoiseFit, step: Array, std: Array) -> bool:

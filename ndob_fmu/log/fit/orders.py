@@ -68,7 +68,8 @@ def with_own_orders(setup: Setup, run: Run, best: ClassFit) -> tuple[Setup, Clas
         problem = replace(told, free=()).problem(run, max(own))
         other = fit_class(problem, best.in_layout_of(problem), most_likely)
         lower, higher = sorted((best, other), key=lambda fit: sum(fit.problem.layout.own))
-        if (higher if _all_rows_tell(higher) > _all_rows_tell(lower) + SURE else lower) is other:
+        taken = higher if _all_rows_tell(higher) > _all_rows_tell(lower) + SURE else lower
+        if taken is other:
             setup, best = told, other
     return setup, best
 

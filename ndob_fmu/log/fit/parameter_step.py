@@ -19,6 +19,7 @@ from ndob_fmu.log.fit.needed_events import needed_events
 from ndob_fmu.log.fit.noise_fit import UNKNOWN, NoiseFit, moved
 from ndob_fmu.log.fit.problem import Problem
 from ndob_fmu.log.fit.rare import weights_of_usual
+from ndob_fmu.log.smooth.along import Course
 from ndob_fmu.log.smooth.events import Events
 from ndob_fmu.log.smooth.linear_record import Smoothed
 from ndob_fmu.log.smooth.smoother import backward, forward
@@ -148,18 +149,20 @@ def _disturbance(problem: Problem, trajectory: Array, theta: Array, noise: Noise
     Differences are one-sided: the disturbance is nearly linear in θ.
     """
     K, layout, model = problem.trained, problem.layout, problem.rows.model
-    plan = problem.course(trajectory[:K], theta).plan
+    centre = problem.course(trajectory[:K], theta)
 
-    def disturbance(moved: Array) -> Array:
-        record, search = problem.about(problem.course(trajectory[:K], theta + moved), plan).pieces(slice(K))
+    def disturbance(course: Course) -> Array:
+        record, search = problem.about(course, centre.plan).pieces(slice(K))
         told = noise.cut(record, layout)
         run = forward(told.parts, told.pieces.placed(search.columns.at(noise.events.jumps)))
         xi = trajectory[told.pieces.rows] + Smoothed(run, backward(told.parts, run)).xi
         return np.asarray((xi[..., layout.disturbance] - model.settings.disturbance_nominal) / model.bound)
 
-    d = disturbance(np.zeros(len(theta)))
-    steps = np.diag(_MOVED * problem.parameter_std)
-    return d, np.array([(disturbance(step) - d) / step.sum() for step in steps])
+    d, slopes = disturbance(centre), []
+    for step in np.diag(_MOVED * problem.parameter_std):
+        beside = problem.course(centre.trajectory, theta + step)
+        slopes.append((disturbance(beside) - d) / step.sum())
+    return d, np.array(slopes)
 
 
 def _to_the_least(problem: Problem, d: Array, slopes: Array) -> tuple[Array, Array]:
